@@ -6,11 +6,12 @@ a fraction of the accessible cells; cells are `[row, col]`, row 0 at the top; ev
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial, wraps
-from inspect import Parameter, signature
+from inspect import Parameter, cleandoc, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, Unpack, overload
 
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.evaluation.evaluate import Evaluation
-from analysis.inputs import load_world, plan_from_state
+from analysis.inputs import check_mode, load_world, plan_from_state
 from analysis.sampling import Exactness, RolloutChoices, how_much
 from analysis.utils.notes import Doing, ProgressCallback, UnknownArgument, say
 from analysis.utils.progress import Found, OnInterrupt, ask
@@ -32,7 +33,7 @@ from planner.plan.state_file import read_state
 from planner.plan_team import plan_team, read_plan_on
 from planner.policies.rules import InAreaOrder
 from planner.rollouts.names import EngineName
-from planner.settings import BEST, SETTINGS, Choices, Policy, Settings
+from planner.settings import BEST, OPTIONS, SETTINGS, Choices, Policy, Settings
 from planner.world.levels import starts_of
 from planner.world.scenario import with_route
 from planner.world.world import World, check_starts
@@ -40,7 +41,7 @@ from planner.world.world import World, check_starts
 if TYPE_CHECKING:
     from distributed import Client
 
-    from analysis.checking.check import MapCheck
+    from analysis.checking.check import MapCheck, Survey
     from analysis.comparison import Comparison
     from analysis.experiments.reproduction import Reproduction
     from analysis.mission_protocol import DrivenMission
@@ -56,16 +57,17 @@ if TYPE_CHECKING:
     from analysis.sweeps.sweep import Sweep
 
 
-# Worlds and plans, what every other function is given; and the options that several functions share.
-
-# Options that several functions of the public API share, each said once: the planner's settings, and the rollouts.
-#
-# A function that takes them is written `def f(..., **options: Unpack[SearchOptions])` and decorated with `takes`,
-# which gives it a signature that names each option, and refuses others.
+# Options that several functions share. A function that takes them is written `def f(..., **options: Unpack[Some])` and
+# decorated with `takes`: its signature names each option with the default of `planner.settings.OPTIONS`, its docstring
+# gains their help, and other names are refused.
 
 Loop = Literal["closed", "open"]
+PlanFor = Literal["closed_loop", "open_loop"]
+ThreatChecks = Literal["every_visit", "first_visit"]
+PlanSource = Plan | str | Path | int | None
+"""A Plan, a plan file, the number of robots to plan for, or None: the world's own team."""
 ReturnTo = str | Sequence[Sequence[int]] | None
-"""Where robots come home to: "home", "nearest", bases `[[row, col], ...]`, or nowhere."""
+"""Bases that robots return to: "home", "nearest", cells `[[row, col], ...]`, or none."""
 
 
 class PlannerOptions(TypedDict, total=False):
@@ -95,16 +97,38 @@ class PolicyOptions(PlannerOptions, total=False):
     robot_value: float | None
 
 
-class RolledOptions(TypedDict, total=False):
-    """What is rolled out besides how many, and what is shown meanwhile: as of `evaluate`."""
+class PlanOptions(PolicyOptions, total=False):
+    """Every setting of `plan`."""
+
+    plan_for: PlanFor | None
+    effort: int | None
+    deadline: int | str | None
+
+
+class CallOptions(TypedDict, total=False):
+    """Progress and interruption, of every function that takes time."""
+
+    progress: ProgressCallback | bool | None
+    on_interrupt: OnInterrupt
+
+
+class RolledOptions(CallOptions, total=False):
+    """The rollouts besides their number."""
 
     seed: int
     deadline: int | str | None
-    first_visit: bool
+    threat_checks: ThreatChecks
     engine: EngineName
     exact: Exactness
-    progress: ProgressCallback | bool | None
-    on_interrupt: OnInterrupt
+
+
+class OnePlanOptions(RolledOptions, total=False):
+    """The rollouts of one plan."""
+
+    loop: Loop | None
+    rollouts: int | None
+    precision: float | None
+    seconds: float | None
 
 
 class FrontOptions(PlannerOptions, RolledOptions, total=False):
@@ -112,30 +136,52 @@ class FrontOptions(PlannerOptions, RolledOptions, total=False):
 
 
 class SearchOptions(PolicyOptions, RolledOptions, total=False):
-    """Of `starts`, `clear` and `attack`."""
+    """Of `starts` and `threats`."""
 
 
 class SizeOptions(SearchOptions, total=False):
     """Of `size`, which also plans for the open loop."""
 
-    plan_for: Loop | None
+    plan_for: PlanFor | None
     effort: int | None
 
 
-DEFAULTS: dict[str, Any] = {
-    "seed": 0, "first_visit": False, "engine": "auto", "exact": "auto", "on_interrupt": "raise",
-}  # fmt: skip
-"""Of options whose default is not None."""
+class RecordOptions(CallOptions, total=False):
+    """Of `record`."""
+
+    loop: Loop | None
+    seed: int
+    threat_checks: ThreatChecks
+    engine: EngineName
+
+
+class MapsOptions(CallOptions, total=False):
+    """Work on many maps: processes, and a dask.distributed scheduler, its address or an open Client."""
+
+    processes: int | None
+    scheduler: str | Client | None
+
+
+OF_CALLS = {
+    "progress": "None: a bar on a terminal, a line in a notebook; True: lines on a pipe too; False: none; or a "
+    "function called with (done, total, seconds) after every chunk.",
+    "on_interrupt": '"raise": Ctrl-C raises a KeyboardInterrupt with the answer so far as `partial`; "return": that '
+    "answer is returned, `answer.partial` true.",
+}
+"""Help of the arguments that are no options of a command."""
+REPORTED = 'Also report coverage at this step or time, as 450 or "45min".'
+"""Help of a deadline that does not end the mission."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def takes(options: type) -> Callable[[Function], Function]:
-    """A decorator: the function's `**options` are these, each keyword-only and with its default.
+def takes(options: type, **help: str) -> Callable[[Function], Function]:
+    """A decorator: the function's `**options` are these, each keyword-only and with its default; `help`: of some.
 
     The function is called with all of them. An argument that it does not have is an UnknownArgument.
     """
+    default = {name: one.default for name, one in OPTIONS.items() if name not in SETTINGS} | {"on_interrupt": "raise"}
     more = {
-        name: Parameter(name, Parameter.KEYWORD_ONLY, default=DEFAULTS.get(name), annotation=kind.__forward_arg__)
+        name: Parameter(name, Parameter.KEYWORD_ONLY, default=default.get(name), annotation=kind.__forward_arg__)
         for name, kind in options.__annotations__.items()
     }
 
@@ -143,6 +189,8 @@ def takes(options: type) -> Callable[[Function], Function]:
         own = signature(function)
         first = [one for one in own.parameters.values() if one.kind is not Parameter.VAR_KEYWORD]
         known = [*(one.name for one in first), *more]
+        own_help = OF_CALLS | help
+        helps = {name: own_help.get(name) or _in_python(OPTIONS[name].help) for name in more}
 
         @wraps(function)
         def call(*args: Any, **given: Any) -> Any:
@@ -151,9 +199,16 @@ def takes(options: type) -> Callable[[Function], Function]:
             return function(*args, **{name: one.default for name, one in more.items()} | given)
 
         call.__signature__ = own.replace(parameters=[*first, *more.values()])  # type: ignore[attr-defined]
+        lines = "".join(f"\n    {name}: {text}" for name, text in helps.items())
+        call.__doc__ = f"{cleandoc(function.__doc__ or '')}\n\nKeyword Args:{lines}\n"
         return call  # type: ignore[return-value]
 
     return named
+
+
+def _in_python(text: str) -> str:
+    """The help of an option, as it is said of an argument: `plan_for` for --plan-for."""
+    return re.sub(r"--([a-z][a-z-]+)", lambda found: f"`{found[1].replace('-', '_')}`", text)
 
 
 # Worlds and plans: what every other function is given.
@@ -205,85 +260,42 @@ def _say_if_large(world: World) -> None:
         say([f"{world.source}: {note}" for note in world.notes if ROBOT_IS in note])
 
 
+@takes(PlanOptions)
 def plan(
     world: World,
     robots: int | None = None,
     *,
     starts: ArrayLike | None = None,
-    levels: int | None = None,
-    density: float | None = None,
-    risk: Literal["paper", "log"] | None = None,
-    transit: Literal["grid", "area"] | None = None,
-    max_steps: int | None = None,
-    policy: Policy | None = None,
-    risk_cap: float | None = None,
-    robot_value: float | None = None,
-    plan_for: Loop | None = None,
-    effort: int | None = None,
-    seconds: float | None = None,
-    range: int | Sequence[int] | None = None,
-    deadline: int | str | None = None,
-    weibull_shape: float | None = None,
-    hazard_multiplier: float | Sequence[float] | None = None,
-    return_to: ReturnTo = None,
-    recharge: int | None = None,
     state: MissionState | str | Path | None = None,
-    in_area: InAreaOrder | None = None,
-    types: str | Sequence[str] | None = None,
-    steps_per_move: int | Sequence[int] | None = None,
-    radio: float | None = None,
+    seconds: float | None = None,
+    **options: Unpack[PlanOptions],
 ) -> Plan:
-    """The plan of a team (Algorithms 1 to 3): its areas, and every robot's path if nobody is lost.
+    """The plan of a team (Algorithms 1 to 3): its areas, and every robot's path without losses.
 
     Args:
-        robots: how many, placed by the world's start rule unless it has as many starts; default: its team, else 1.
-        starts: instead of that, `[[row, col], ...]`, one a robot.
-        levels: most threat levels, p = 0 counted. density: least cells a robot of a safe area is to have.
-        risk: cost of a dangerous cell, "paper" (eq. 3) or "log" (by survival). transit: "grid" or "area".
-        max_steps: at which the run is cut off.
-        policy: which area is next: "mrac" (the paper's) or "per_cell" (least cost per new cell); or a rule of your own,
-            a `planner.policies.rule.Rule`, or a function of an `Offer` to order areas by, least first. "best": the one
-            that covers most here, of a dozen settings that are raced on luck of their own, its areas then put in
-            a better order, for `seconds` (10) at most.
-        reserve: with "per_cell", at most this share of the robots alive are at risk at once.
-        worth: with "per_cell", a robot is worth so many new cells: areas that cost more are refused.
-        plan_for: "open": paths for robots that do not take over from each other, found by a search; they have no areas.
-        effort: of that search, in paths evaluated: the same effort gives the same plan; seconds: end it after so many.
-        range: moves that a robot can make, then it stays where it is; one number for all, or one a robot.
-        deadline: the step at which the mission is ended: the plan, and all that is made of it, keep to it. Here as
-            everywhere it may be a time, "45min", where the world knows how long a step takes (`load`).
-        wear: shape of the Weibull amount of exposure that robots bear; above 1 they wear out, and p is a dose.
-        susceptibility: how many times exposure counts, one number for all, or one a robot. No decision knows the
-            two.
-        return_to: robots come home, "home" to their own starts, to the "nearest" start of anybody, or of the bases
-            `[[row, col], ...]`: they turn once everything is covered or nothing more can be done, or while range and
-            deadline still leave them the way.
-        recharge: with `range` and `return_to`, steps at a base after which a robot has its range again.
+        robots: number of robots, placed by the world's start rule unless it has as many starts; default: its team,
+            else 1.
+        starts: their cells `[[row, col], ...]`, one per robot.
         state: of a mission under way, or a file of it (a state, tracks, visited cells, a mask, an OccupancyGrid): the
-            plan of the rest; the robots are its own, or at `starts` where the file does not say where they are.
-        types: of robots, of the world's matrix, one for all or one a robot: each plans with its own p, and is stopped
-            by it.
-        steps_per_move: of robots that differ in speed, one a robot: `(1, 2)`, the second is half as fast.
-        radio: cells over which robots hear each other, and a start or base: who is out of touch takes over nothing,
-            and drives back.
-        in_area: "boustrophedon", "rows" or "columns": in safe areas straight on, so with fewer turns; an order of your
-            own is a function of a `CellOffer`, the least first.
+            plan of the rest. The robots are its own, or at `starts` where the file does not say where they are.
+        seconds: end the search of `plan_for="open_loop"` or `policy="best"` after this many seconds (10).
 
-    A rule or an order of your own cannot be saved, nor (yet) rolled out by the compiled engines.
+    A `policy` may also be a `planner.policies.rule.Rule`, or a function of an `Offer` that orders areas, least first;
+    an `in_area` order a function of a `CellOffer`. Such a plan cannot be saved. "best" selects the policy with the
+    highest coverage of a dozen settings, on random numbers of its own, and then improves the order of the areas. In a
+    world with a step length a `deadline` may be a time, "45min".
     """
     from analysis.estimators.racing import BASE, plan_best
 
-    given = {name: value for name, value in locals().items() if name in SETTINGS}
     check_world(world)
-    sought = policy == BEST
+    given, sought = dict(options), options["policy"] == BEST
     settings = settings_of(world, **given | ({"policy": BASE} if sought else {}))
     if sought and state is not None:
         raise UsageError(f"both {argument('policy', BEST)} and a state", expected="one of them")
     if state is not None:
         if robots is not None or (starts is not None and isinstance(state, MissionState)):
-            raise UsageError(
-                "a state and robots or starts", expected="one of them: the state says where its robots are"
-            )
+            problem = "a state and robots or starts"
+            raise UsageError(problem, expected="one of them: the state says where its robots are")
         found, notes = (state, ()) if isinstance(state, MissionState) else read_state(Path(state), world, starts)
         made = plan_from_state(world, found, settings)
         return replace(made, notes=(*made.notes, *notes))
@@ -309,7 +321,7 @@ def check_world(world: object) -> None:
         raise UsageError(argument("world", world), expected="a World, as mrac_jax.load makes one")
 
 
-def plan_of(world: World, given: Plan | str | Path | int | None) -> tuple[World, Plan]:
+def plan_of(world: World, given: PlanSource) -> tuple[World, Plan]:
     """A plan, the one in a file, or a new one (for so many robots); and the world that it is for (`read_plan_on`)."""
     check_world(world)
     if isinstance(given, Plan):
@@ -323,23 +335,19 @@ def plan_of(world: World, given: Plan | str | Path | int | None) -> tuple[World,
 PICKS = ("worst", "median", "best")
 
 
+@takes(RecordOptions)
 def record(
     world: World,
-    plan: Plan | str | Path | int | None,
+    plan: PlanSource,
     path: str | Path,
     *,
     pick: Iterable[str] = (),
     ids: Iterable[int] = (),
     rollouts: int = 10_000,
     outcomes: bool = False,
-    loop: Loop | None = None,
-    seed: int = 0,
-    engine: EngineName = "auto",
-    first_visit: bool = False,
     step_seconds: float | None = None,
     force: bool = False,
-    progress: ProgressCallback | bool | None = None,
-    on_interrupt: OnInterrupt = "raise",
+    **options: Unpack[RecordOptions],
 ) -> Recorded:
     """Rollouts in full as an MCAP file, for Foxglove, Lichtblick and Rerun; read back with `read_rollouts`.
 
@@ -349,7 +357,6 @@ def record(
             (default: those three). outcomes: keep what each of the `rollouts` came to (`read_outcomes`).
         step_seconds: how long a step takes in the viewer; None: as long as the world says, or 1.
         force: replace a recording or layout that is there already; without it that is an InputError.
-        loop, seed, engine, first_visit, progress, on_interrupt: as of `evaluate`.
     """
     from analysis.recording.names import SUFFIX, check_name, layout_name
     from analysis.recording.record import Request, parse_picks
@@ -366,14 +373,15 @@ def record(
         of, given = plan_of(world, plan)
         made = not given.is_foreign
         seconds = of.with_pace(step_seconds).pace.seconds or 1.0
-        how: Any = {"loop": loop or given.usual_loop, "seed": seed, "step_seconds": seconds, "made": made}
-        how |= {"outcomes": outcomes, "engine": engine, "first_only": first_visit}
+        how: Any = {"loop": options["loop"] or given.usual_loop, "step_seconds": seconds, "made": made}
+        how |= {"outcomes": outcomes} | {name: options[name] for name in ("seed", "engine")}
+        how["first_only"] = _first_only(options)
         request = Request(chosen, picks, count, **how)
         done = record_rollouts(of, given, request, path, progress=tell, doing=doing)
         write_layout(layout_name(done.path), of, len(given.robots))
         return done
 
-    return ask(work, progress, on_interrupt)
+    return ask(work, options["progress"], options["on_interrupt"])
 
 
 def read_rollouts(path: str | Path) -> Iterator[RecordedRollout]:
@@ -397,7 +405,7 @@ def read_outcomes(path: str | Path) -> RecordedOutcomes:
 
 def export(
     world: World,
-    plan: Plan | str | Path | int | None,
+    plan: PlanSource,
     out: str | Path,
     *,
     to: Literal["qgc", "nav2", "geojson", "kml", "gpx", "csv", "geotiff"] | None = None,
@@ -423,15 +431,15 @@ def export(
 # A mission that is driven.
 
 
-def mission(
+def drive(
     world: World,
-    plan: Plan | str | Path | int | None = None,
+    plan: PlanSource = None,
     *,
     state: MissionState | str | Path | None = None,
     patience: int | None = PATIENCE,
     gain: float = 1.0,
 ) -> DrivenMission:
-    """A mission to be driven: it gives orders and takes reports, step by step, and goes on after a crash.
+    """A mission: it gives orders and takes reports, step by step, and resumes after a crash.
 
     Args:
         plan: a Plan, a plan file, how many robots to plan for, or None: the world's own team.
@@ -454,25 +462,18 @@ def mission(
 # Many maps: sweeps, the paper's experiments, what a store holds.
 
 
+@takes(MapsOptions)
 def sweep(
     spec: str | Path,
     store: str | Path | None = None,
     *,
     precision: float | None = None,
-    processes: int | None = None,
-    scheduler: str | Client | None = None,
-    progress: ProgressCallback | bool | None = None,
-    on_interrupt: OnInterrupt = "raise",
+    **options: Unpack[MapsOptions],
 ) -> Sweep:
-    """A sweep file run, on all cores, into a store that resumes (default: NAME.store beside you).
+    """A sweep file run, on all cores, into a store that resumes (default: NAME.store in the current folder).
 
-    Args:
-        precision: more maps until every interval of mean coverage is within so much of it. processes: at a time.
-        scheduler: a dask.distributed scheduler to run on instead: its address, "tcp://host:8786", or an open Client.
-            No result depends on it.
-        progress, on_interrupt: as of `evaluate`; jobs are counted.
+    `precision`: add maps until every interval of mean coverage is within this of its mean.
     """
-    from analysis.sweeps.engine import check_where
     from analysis.sweeps.spec import read_spec
     from analysis.sweeps.store import Store
     from analysis.sweeps.sweep import check_precision, run_sweep
@@ -481,46 +482,20 @@ def sweep(
     check_precision(precision)
 
     def work(tell: ProgressCallback, doing: Doing) -> Sweep:
-        check_where(processes, scheduler)
+        where = _where(options)
         with Store.open(Path(f"{asked.source.stem}.store") if store is None else Path(store)) as opened:
-            how: Any = {"precision": precision, "processes": processes, "scheduler": scheduler}
-            return run_sweep(asked, opened, watch=lambda *now: tell(*now[:3]), **how)
+            return run_sweep(asked, opened, watch=lambda *now: tell(*now[:3]), precision=precision, **where)
 
-    return ask(work, progress, on_interrupt, "jobs")
+    return ask(work, options["progress"], options["on_interrupt"], "jobs")
 
 
-def reproduce(
-    figure: Literal["fig4", "fig5", "fig6", "fig7", "all"] = "all",
-    *,
-    maps: int = 500,
-    rollouts: int = 20,
-    seed: int = 0,
-    store: str | Path | None = None,
-    processes: int | None = None,
-    scheduler: str | Client | None = None,
-    progress: ProgressCallback | bool | None = None,
-    on_interrupt: OnInterrupt = "raise",
-) -> Reproduction:
-    """The paper's experiments again, with intervals; results are kept in `store` if one is named.
-
-    Args:
-        maps: of each setting; rollouts: of each map. processes, scheduler: as of `sweep`.
-        progress, on_interrupt: as of `evaluate`; jobs are counted.
-    """
-    from analysis.experiments.reproduction import reproduce as run_experiments
-    from analysis.sweeps.cases import check_maps
+def _where(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The processes or the scheduler of work on many maps. Raises UsageError for both."""
     from analysis.sweeps.engine import check_where
-    from analysis.sweeps.store import Store
 
-    check_maps(maps, seed)
-
-    def work(tell: ProgressCallback, doing: Doing) -> Reproduction:
-        check_where(processes, scheduler)
-        with nullcontext() if store is None else Store.open(Path(store)) as kept:
-            how: Any = {"maps": maps, "rollouts": rollouts, "seed": seed, "store": kept, "processes": processes}
-            return run_experiments(figure, **how, scheduler=scheduler, progress=tell)
-
-    return ask(work, progress, on_interrupt, "jobs")
+    where = {name: options[name] for name in ("processes", "scheduler")}
+    check_where(**where)
+    return where
 
 
 def results(store: str | Path, *, by: Sequence[str] = (), where: dict[str, Any] | None = None) -> Results:
@@ -539,6 +514,35 @@ def results(store: str | Path, *, by: Sequence[str] = (), where: dict[str, Any] 
     wanted = {name: texts(value) for name, value in (where or {}).items()}
     with Store.open(Path(store), write=False) as opened:
         return collect(opened, wanted, list(by))
+
+
+def generate(
+    map: str | Path | None = None,
+    *,
+    kind: Literal["contiguous", "scattered"] = "contiguous",
+    size: str | None = None,
+    obstacles: float | None = None,
+    ratio: float | None = None,
+    areas: int | None = None,
+    levels: Sequence[float] | None = None,
+    seed: int = 0,
+    robots: int | None = None,
+    cell_size: float | None = None,
+) -> World:
+    """A random world of the paper, or such threats on a map.
+
+    Args:
+        map: an INPUT on whose free cells the threats are put; cell_size: of its cells in metres.
+        kind: of the threats; areas: number of contiguous areas (10); levels: their p, in turn (0.04, ..., 0.20).
+        size: "HxW" in cells ("20x20"); obstacles, ratio: fractions of obstacles and of dangerous cells (0.25 each).
+        seed: of the world. robots: also place the starts of this many robots.
+    """
+    from analysis.inputs import generate_world
+
+    given = None if levels is None else ",".join(f"{level:.17g}" for level in levels)
+    on = None if map is None else str(map)
+    world, notes = generate_world(on, kind, size, obstacles, ratio, areas, given, seed, robots, cell_size)
+    return replace(world, notes=(*world.notes, *notes))
 
 
 # Policies of one's own, and the worlds that they are played on.
@@ -608,10 +612,10 @@ def suite(only: str | Sequence[str] | None = None) -> Suite:
 @overload
 def evaluate(world: World, plan: int | None = None, *, policy: Callable[..., Any], **how: Any) -> Judged: ...
 @overload
-def evaluate(world: World, plan: Plan | str | Path | int | None = None, **how: Any) -> Evaluation: ...
+def evaluate(world: World, plan: PlanSource = None, **how: Any) -> Evaluation: ...
 def evaluate(
     world: World,
-    plan: Plan | str | Path | int | None = None,
+    plan: PlanSource = None,
     *,
     policy: Callable[..., Any] | None = None,
     state: MissionState | str | Path | None = None,
@@ -623,13 +627,12 @@ def evaluate(
     engine: EngineName = "auto",
     seed: int = 0,
     deadline: int | str | None = None,
-    first_visit: bool = False,
+    threat_checks: ThreatChecks = "every_visit",
     threat_scale: Sequence[float] = (),
     sensor_range: Sequence[float] = (),
     bound: bool | None = None,
     band: bool = True,
     advice: bool = True,
-    metrics: Literal["coverage", "search", "clearance"] | None = None,
     progress: ProgressCallback | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
     **asked: Any,
@@ -650,14 +653,12 @@ def evaluate(
             "never", or for about so many seconds. The same work on every machine, so that no answer depends on it.
         engine: "auto" takes JAX where it has an accelerator, else Numba. seed: of the rollouts.
         deadline: a step at which coverage is reported too; robots that come home know it, and are home by then.
-        first_visit: only the first visit of a cell by anybody can stop a robot.
+        threat_checks: "first_visit": only the first visit of a cell by any robot can destroy a robot.
         threat_scale: also if all threats are so many times the map's.
         sensor_range: also with sensors of these ranges, in cells, common random numbers; 0: no sensor.
         bound: whether the bound for every strategy is worked out; None: on up to 500 accessible cells.
         band: also sample how coverage grows over time, for `plots`.
         advice: also a quick front: what other settings cover and lose.
-        metrics: in whose words value covered, found and left are told; default: as the world says, if it says
-            anything of values.
         asked: any further output of `analysis.evaluation.outputs`, by its key.
         progress: what is shown meanwhile. None: a bar on a terminal, a line in a notebook; True: lines on a pipe too;
             False: nothing; or a function that is called with (done, total, seconds) after every chunk.
@@ -673,7 +674,7 @@ def evaluate(
         raise UsageError("both a plan and a state", expected="one of them")
     check_world(world)
     _check_outputs(asked)
-    asked |= {"threat_scale": tuple(threat_scale)} | ({} if metrics is None else {"value": metrics})
+    asked |= {"threat_scale": tuple(threat_scale)}
     asked |= {"knowledge": tuple(sensor_range)} if len(sensor_range) else {}
     check_asked(world, **asked)
     asked |= {"band": band, "advice": advice}
@@ -684,7 +685,7 @@ def evaluate(
         of, made = plan_of(world, plan) if state is None else (world, _rest(world, state))
         choices = RolloutChoices(
             loop=loop or made.usual_loop, **amount, exact=exact, engine=engine, seed=seed, deadline=deadline,
-            first_only=first_visit,
+            first_only=_first_only({"threat_checks": threat_checks}),
         )  # fmt: skip
         return evaluate_plan(of, made, choices, bound=bound, progress=tell, doing=doing, **asked)
 
@@ -717,86 +718,126 @@ def _rest(world: World, state: MissionState | str | Path) -> Plan:
     return plan(world, state=state)
 
 
+@takes(OnePlanOptions, deadline=REPORTED)
 def compare(
-    a: tuple[World, Plan | str | Path | int | None],
-    b: tuple[World, Plan | str | Path | int | None],
+    a: tuple[World, PlanSource],
+    b: tuple[World, PlanSource],
     *,
-    loop: Loop | None = None,
     loop_b: Loop | None = None,
-    rollouts: int | None = None,
-    precision: float | None = None,
-    seconds: float | None = None,
-    exact: Exactness = "auto",
-    engine: EngineName = "auto",
-    seed: int = 0,
-    deadline: int | str | None = None,
-    first_visit: bool = False,
-    first_visit_b: bool | None = None,
-    progress: ProgressCallback | bool | None = None,
-    on_interrupt: OnInterrupt = "raise",
+    threat_checks_b: ThreatChecks | None = None,
+    **options: Unpack[OnePlanOptions],
 ) -> Comparison:
-    """How far apart are two plans, teams or maps? Both meet the same random numbers, so the difference is sharp.
+    """The difference between two plans, teams or maps, on common random numbers.
 
     Args:
         a, b: a world and a plan for it: a Plan, a plan file, how many robots to plan for, or None, as of `evaluate`.
-        loop: of both; `loop_b`: of b alone. None: open for paths alone, else closed.
-        rollouts: how many; or `precision`: until the 95 % interval of the difference of mean coverage is within so much
-            of it. Neither: 100,000, as far as 10 seconds go.
-        first_visit: as of `evaluate`, of both; `first_visit_b`: of b alone.
-        seconds, exact, engine, seed, deadline, progress, on_interrupt: as of `evaluate`.
+        loop_b, threat_checks_b: of b, where they differ from a's.
+
+    Without `rollouts` and `precision` (of the difference) it runs 100,000 rollouts, as far as 10 seconds go.
     """
     from analysis.comparison import Side, make_side
     from analysis.comparison import compare as compare_sides
 
-    amount = how_much(rollouts, precision, seconds, usual=100_000) | {"exact": exact}
+    amount = how_much(options["rollouts"], options["precision"], options["seconds"], usual=100_000)
     for name, side in (("a", a), ("b", b)):
         if not (isinstance(side, tuple) and len(side) == 2 and isinstance(side[0], World)):
             raise UsageError(argument(name, side), expected="(world, plan), a World and a plan for it")
 
-    def make(side: tuple[World, Plan | str | Path | int | None], loop: Loop | None, first_only: bool) -> Side:
+    def make(side: tuple[World, PlanSource], loop: Loop | None, threat_checks: ThreatChecks) -> Side:
         world, plan = plan_of(*side)
-        choices = RolloutChoices(
-            loop=loop or plan.usual_loop, **amount, engine=engine, seed=seed, deadline=deadline,
-            first_only=first_only,
-        )  # fmt: skip
-        return make_side(world, plan, choices)
+        how = dict(options) | {"threat_checks": threat_checks}
+        return make_side(world, plan, _rollouts(how, loop=loop or plan.usual_loop, **amount))
 
     def work(tell: ProgressCallback, doing: Doing) -> Comparison:
         doing("planning")
-        other = first_visit if first_visit_b is None else first_visit_b
-        return compare_sides(make(a, loop, first_visit), make(b, loop_b or loop, other), progress=tell)
+        first = make(a, options["loop"], options["threat_checks"])
+        other = make(b, loop_b or options["loop"], threat_checks_b or options["threat_checks"])
+        return compare_sides(first, other, progress=tell)
 
-    return ask(work, progress, on_interrupt)
+    return ask(work, options["progress"], options["on_interrupt"])
 
 
-def check(
-    world: World,
-    plan: Plan | str | Path | int | None = None,
+@overload
+def check(world: World, plan: PlanSource = None, **how: Any) -> MapCheck: ...
+@overload
+def check(*, worlds: int, **how: Any) -> Survey: ...
+@overload
+def check(*, paper: Literal["fig4", "fig5", "fig6", "fig7", "all"], **how: Any) -> Reproduction: ...
+def check(  # type: ignore[misc]
+    world: World | None = None,
+    plan: PlanSource = None,
     *,
-    rollouts: int = 20_000,
+    rollouts: int | None = None,
     seed: int = 0,
     engine: EngineName = "auto",
-    first_visit: bool = False,
+    threat_checks: ThreatChecks = "every_visit",
     bound: bool | None = None,
     theory: Literal["main", "all"] = "main",
+    worlds: int | None = None,
+    robots: Sequence[int] | None = None,
+    kind: Literal["contiguous", "scattered"] | None = None,
+    size: str | None = None,
+    paper: Literal["fig4", "fig5", "fig6", "fig7", "all"] | None = None,
+    maps: int | None = None,
+    store: str | Path | None = None,
+    processes: int | None = None,
+    scheduler: str | Client | None = None,
     progress: ProgressCallback | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
-) -> MapCheck:
-    """Which of the paper's formulas, and of ours, hold for this plan?
+) -> MapCheck | Survey | Reproduction:
+    """Check of the paper's formulas for a plan, on random maps (`worlds`), or of its experiments (`paper`).
 
     Args:
-        plan, rollouts, seed, engine, first_visit, bound, progress, on_interrupt: as of `evaluate`.
-        theory: what its table lists: "main", a row for each formula; "all", every reading and meaning of each.
+        world, plan: as of `evaluate`.
+        rollouts: of the closed loop where it is not known exactly (20,000; 4,096 a team with `worlds`; 20 a map with
+            `paper`). seed, engine, threat_checks, bound, progress, on_interrupt: as of `evaluate`.
+        theory: rows of its table: "main", one per formula; "all", every reading and meaning of each.
+        worlds: number of random maps; `kind` of their threats, "contiguous" or "scattered"; `size` of a map, "20x20";
+            robots: team sizes, (1, 2, 4, 8, 20).
+        paper: a figure of the paper, or "all"; maps: per setting (500); store: keep results in this file.
+        processes, scheduler: as of `sweep`.
     """
     check_word("theory", theory, ("main", "all"))
-    from analysis.checking.check import check_input
+    mode = check_mode({name: value for name, value in locals().items() if name in signature(check).parameters})
+    if mode == "world" and robots is not None:
+        known = [name for name in signature(check).parameters if name != "robots"]
+        raise UnknownArgument.of(check, "robots", robots, known)
+    if mode == "paper":
+        return _paper(paper or "all", maps, rollouts, seed, store, locals())
+    from analysis.checking.check import check_input, make_survey, run_survey
 
-    choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, first_only=first_visit)
+    first_only = _first_only({"threat_checks": threat_checks})
+    count = rollouts or (20_000 if mode == "world" else 4096)
+    choices = RolloutChoices(rollouts=count, seed=seed, engine=engine, first_only=first_only)
+    if mode == "world":
+        given = plan_of(world, plan)  # type: ignore[arg-type]
+        return ask(lambda tell, doing: check_input(*given, choices, tell, bound, theory), progress, on_interrupt)
+    sizes = (1, 2, 4, 8, 20) if robots is None else tuple(sorted(set(robots)))
+    survey = make_survey(worlds or 0, kind, size, sizes, Choices(), bool(bound))
+    return ask(
+        lambda tell, doing: run_survey(survey, choices, processes=processes, progress=tell),
+        progress,
+        on_interrupt,
+        "worlds",
+    )
 
-    def work(tell: ProgressCallback, doing: Doing) -> MapCheck:
-        return check_input(*plan_of(world, plan), choices, tell, bound, theory)
 
-    return ask(work, progress, on_interrupt)
+def _paper(
+    figure: str, maps: int | None, rollouts: int | None, seed: int, store: str | Path | None, options: Mapping[str, Any]
+) -> Reproduction:
+    from analysis.experiments.reproduction import reproduce
+    from analysis.sweeps.cases import check_maps
+    from analysis.sweeps.store import Store
+
+    count = {"maps": 500 if maps is None else maps, "rollouts": 20 if rollouts is None else rollouts, "seed": seed}
+    check_maps(count["maps"], seed)
+
+    def work(tell: ProgressCallback, doing: Doing) -> Reproduction:
+        where = _where(options)
+        with nullcontext() if store is None else Store.open(Path(store)) as kept:
+            return reproduce(figure, **count, **where, store=kept, progress=tell)  # type: ignore[arg-type]
+
+    return ask(work, options["progress"], options["on_interrupt"], "jobs")
 
 
 # The best of many: teams, trade-offs, starts, threats to remove or to fear.
@@ -813,7 +854,13 @@ def _settings(world: World, options: Mapping[str, Any]) -> Settings:
 def _rollouts(options: Mapping[str, Any], **how: Any) -> RolloutChoices:
     """The rollouts among the options; `how`: more of them. Raises UsageError."""
     given = {name: options[name] for name in ("seed", "engine", "deadline", "exact")}
-    return RolloutChoices(first_only=options["first_visit"], **{**given, **how})
+    return RolloutChoices(first_only=_first_only(options), **{**given, **how})
+
+
+def _first_only(options: Mapping[str, Any]) -> bool:
+    """Whether only first visits can destroy a robot. Raises UsageError for an unknown word."""
+    check_word("threat_checks", options["threat_checks"], OPTIONS["threat_checks"].words)
+    return bool(options["threat_checks"] == "first_visit")
 
 
 def _ask(search: Callable[..., Answered], options: Mapping[str, Any]) -> Answered:
@@ -822,7 +869,7 @@ def _ask(search: Callable[..., Answered], options: Mapping[str, Any]) -> Answere
     return ask(work, options["progress"], options["on_interrupt"])
 
 
-@takes(SizeOptions)
+@takes(SizeOptions, deadline=REPORTED)
 def size(
     world: World,
     *,
@@ -843,8 +890,6 @@ def size(
         meaning: of "covered". most: robots to look at.
         starts: `[[row, col], ...]`, of which a team takes the first; default: the world's own, else its start rule.
         loop: as of `evaluate`. rollouts: of each team, at most (default: 100,000); or `precision`.
-        options: settings, as of `plan`; seed, deadline, first_visit, engine, exact (of each team), progress,
-            on_interrupt, as of `evaluate`.
     """
     from analysis.search.team_size import find_size, make_goal
 
@@ -881,8 +926,6 @@ def front(
             that loses the fewest with so much covered. `answer.picked` is it, `answer.plan_of(answer.picked)` its plan.
         reserves, worths: to look at (default: as the map suggests).
         rollouts: of each setting, the same for all; None: 4,096, fewer above 2,048 accessible cells.
-        options: settings, as of `plan`; deadline, at which every mission ends; seed, first_visit, engine, exact
-            (of all that is compared together), progress, on_interrupt, as of `evaluate`.
     """
     from analysis.search.pareto import Ladders, find_front, make_goal, usual_rollouts
 
@@ -913,7 +956,6 @@ def starts(
         robots: how many; default: as many as the world's own team.
         candidates: "border", the safe cells on the border of the map; a mask `[H, W]`; or cells `[[row, col], ...]`.
         rollouts: of the last two places that are left, the same for all.
-        options: as of `front` (progress, on_interrupt too), and policy, reserve, worth, as of `plan`.
     """
     from analysis.search.start_positions import find_starts, team_size
 
@@ -924,64 +966,62 @@ def starts(
     return _ask(search, options)
 
 
-@takes(SearchOptions)
-def clear(
+@overload
+def threats(world: World, robots: int | None = None, *, remove: int, **how: Any) -> Clearing: ...
+@overload
+def threats(world: World, robots: int | None = None, *, add: int, **how: Any) -> Attack: ...
+@takes(SearchOptions)  # type: ignore[misc]
+def threats(
     world: World,
     robots: int | None = None,
     *,
-    count: int = 1,
-    remove: Literal["areas", "sources"] | None = None,
+    remove: int | None = None,
+    add: int | None = None,
+    unit: Literal["areas", "sources"] | None = None,
+    p: float | None = None,
     starts: ArrayLike | None = None,
     rollouts: int = 4096,
     **options: Unpack[SearchOptions],
-) -> Clearing:
-    """Which threat to remove first, and `count` of them greedily: `answer.picks`, `answer.gain`.
+) -> Clearing | Attack:
+    """The threats to remove first (`remove`), or the worst cells for new ones (`add`).
 
     Args:
-        remove: the connected "areas" of danger, or the "sources", the polygons, points and sites of a scenario's
-            threats; None: these where there are several.
+        remove: number of threats to remove, one after the other: `answer.picks`, `answer.gain`.
+        add: number of new threats: `answer.known`, `answer.hidden`, and the worlds with them.
+        unit: of `remove`: the connected "areas" of danger, or the "sources", the polygons, points and sites of a
+            scenario's threats; None: sources where there are several.
+        p: of `add`: probability that a visit destroys a robot, beside the other threats (0.2).
         robots, starts: the team, as of `plan`.
-        rollouts: of the last two threats that are left, the same for all.
-        options: as of `front` (progress, on_interrupt too), and policy, reserve, worth, as of `plan`.
+        rollouts: of the last two candidates, the same for all.
     """
-    from analysis.search.threats import find_clearing
+    from analysis.search.threats import threats_search
 
     settings, choices = _settings(world, options), _rollouts(options, rollouts=rollouts)
+    search: Any = threats_search(remove, add, unit, p)
     placed = np.asarray(starts_of(world, robots, starts))
-
-    search = partial(find_clearing, world, placed, settings, choices, count=count, remove=remove)
-    return _ask(search, options)
+    return _ask(partial(search, world, placed, settings, choices), options)
 
 
-@takes(SearchOptions)
-def attack(
-    world: World,
-    robots: int | None = None,
-    *,
-    count: int = 1,
-    p: float = 0.2,
-    starts: ArrayLike | None = None,
-    rollouts: int = 4096,
-    **options: Unpack[SearchOptions],
-) -> Attack:
-    """Where `count` threats would cost the team most: `answer.known`, `answer.hidden`, and the worlds with them.
-
-    Args:
-        p: the chance that a visit of one stops a robot, beside what else is there.
-        robots, starts: the team, as of `plan`.
-        rollouts: of the last two places that are left, the same for all.
-        options: as of `front` (progress, on_interrupt too), and policy, reserve, worth, as of `plan`.
-    """
-    from analysis.search.threats import find_attack
-
-    settings, choices = _settings(world, options), _rollouts(options, rollouts=rollouts)
-    placed = np.asarray(starts_of(world, robots, starts))
-
-    search = partial(find_attack, world, placed, settings, choices, count=count, p=p)
-    return _ask(search, options)
+# Names of release 0.3, for one release.
 
 
+def _clear(world: World, robots: int | None = None, *, count: int = 1, remove: Any = None, **how: Any) -> Clearing:
+    return threats(world, robots, remove=count, unit=remove, **how)
+
+
+def _attack(world: World, robots: int | None = None, *, count: int = 1, **how: Any) -> Attack:
+    return threats(world, robots, add=count, **how)
+
+
+def _reproduce(figure: Any = "all", **how: Any) -> Reproduction:
+    return check(paper=figure, **how)
+
+
+OF_0_3: dict[str, Callable[..., Any]] = {
+    "attack": _attack, "clear": _clear, "mission": drive, "reproduce": _reproduce,
+}  # fmt: skip
+"""Functions of release 0.3, with their old arguments (`mrac_jax.OF_0_3`)."""
 __all__ = [
-    "attack", "check", "clear", "compare", "evaluate", "export", "front", "judge", "load", "mission", "plan",
-    "read_outcomes", "read_rollouts", "record", "reproduce", "results", "size", "starts", "suite", "sweep",
+    "check", "compare", "drive", "evaluate", "export", "front", "generate", "judge", "load", "plan", "read_outcomes",
+    "read_rollouts", "record", "results", "size", "starts", "suite", "sweep", "threats",
 ]  # fmt: skip

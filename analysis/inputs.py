@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arguments import FRACTION, MAX_PLAN_BYTES, argument, did_you_mean, numbers_of
+from planner.arguments import COMMAND_LINE, FRACTION, MAX_PLAN_BYTES, argument, did_you_mean, numbers_of
 from planner.errors import InputError, PlanError, StateError, UsageError
 from planner.files import read_json, why_no_file
 from planner.formatting import counted
 from planner.plan.plan import FORMAT, Plan
 from planner.plan.state import MissionState
 from planner.policies.rules import PER_CELL
-from planner.settings import BEARING, BEST, KEPT, Choices, Settings
+from planner.settings import BEARING, BEST, KEPT, OPTIONS, Choices, Settings
 from planner.world.features import seeing
 from planner.world.keys import named_files, read_yaml
 from planner.world.map_files import YAML
@@ -282,6 +282,38 @@ def _other(world: World, plan: Plan, plan_file: Path) -> tuple[str, ...]:
     return (f"{plan_file} was made for another {other} than {world.source} says: its own count",) if other else ()
 
 
+OF_ONE_MAP = ("plan", "starts", "cell_size", "theory")
+OF_WORLDS = ("worlds", "kind", "size", "processes")
+OF_THE_PAPER = ("paper", "maps", "store", "processes", "scheduler")
+WITH_THE_PAPER = ("rollouts", "seed", "out", "json", "progress", "on_interrupt")
+
+
+def check_mode(given: Mapping[str, Any]) -> Literal["world", "worlds", "paper"]:
+    """What `check` is asked to check; `given`: its arguments by name. Raises UsageError for what contradicts that."""
+    modes = [name for name in ("world", "worlds", "paper") if given.get(name) is not None]
+    words = {"world": "an INPUT" if COMMAND_LINE.get() else "a world", "worlds": argument("worlds")}
+    words |= {"paper": argument("paper")}
+    if not modes:
+        raise UsageError("nothing to check", expected=f"{words['world']}, {words['worlds']} or {words['paper']}")
+    if len(modes) > 1:
+        raise UsageError(f"both {words[modes[0]]} and {words[modes[1]]} are given", expected="one of them")
+    (mode,) = modes
+    if mode != "world" and given["engine"] == "jax":
+        raise UsageError(f"{argument('engine', 'jax')} is for {words['world']}", fix="leave it out")
+    owners = {"world": OF_ONE_MAP, "worlds": OF_WORLDS, "paper": OF_THE_PAPER}
+    usual = {"theory": "main"} | {name: one.default for name, one in OPTIONS.items()}
+    said = [name for name, value in given.items() if value is not None and value != usual.get(name)]
+    if mode == "paper":
+        wrong = [name for name in said if name not in (*OF_THE_PAPER, *WITH_THE_PAPER)]
+    else:
+        wrong = [name for name in said if name in sum(owners.values(), ()) and name not in owners[mode]]
+    if wrong:
+        owner = next((words[one] for one, names in owners.items() if wrong[0] in names), "the others")
+        named, one = " and ".join(map(argument, wrong)), len(wrong) == 1
+        raise UsageError(f"{named} {'is' if one else 'are'} for {owner}", fix=f"leave {'it' if one else 'them'} out")
+    return mode  # type: ignore[return-value]
+
+
 def generate_world(
     on: str | None,
     kind: Literal["contiguous", "scattered"],
@@ -344,7 +376,7 @@ def _left_out(world: World, robots: int | None) -> tuple[str, ...]:
     team, pace = world.team, world.pace
     keys = ["robots.count"] * (team.robots is not None and robots is None) + list(team.settings)
     keys += [name for name, given in (("step", pace.seconds), ("turn", pace.turn)) if given]
-    keys += [name for name, given in (("metrics", team.metrics), ("route", team.route is not None)) if given]
+    keys += ["route"] * (team.route is not None)
     return (f"left out, since a world file holds the map alone: {', '.join(keys)}",) if keys else ()
 
 

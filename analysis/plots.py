@@ -84,7 +84,7 @@ left_figure = _picture(
     Evaluation,
     "The expected value left in each cell; of an evaluation that has a `value`.",
     "left.png",
-    "a world with values: `value:` in its scenario, or load(..., value=...); or evaluate(..., metrics='coverage')",
+    "a world with values: `value:` in its scenario, or load(..., value=...)",
 )
 distribution_figure = _picture(
     Evaluation, "The chance of so much coverage, and rollouts by coverage.", "distribution.png"

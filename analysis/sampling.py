@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from analysis.statistics.estimates import looks
 from analysis.statistics.variance_reduction import LEAST
 from analysis.utils.progress import compiles_for
-from planner.arguments import MAX_STEP, MOST_ROLLOUTS, POSITIVE, SEED, Numbers, argument, as_whole, check_word, whole
+from planner.arguments import MAX_STEP, MOST_ROLLOUTS, argument, as_whole, check_word, whole
 from planner.errors import UsageError
 from planner.formatting import SPANS, Pace, seconds_of
 from planner.plan.plan import Plan
-from planner.rollouts.names import ENGINES, EngineName, check_jax
+from planner.rollouts.names import EngineName, check_jax
+from planner.settings import OPTIONS
 from planner.tally import RolloutResults, Tally
 from planner.world.world import World
 
@@ -28,8 +29,6 @@ PRECISION = 0.001
 """Half the width of the 95 % interval of mean visited coverage that is enough where nobody asks for more."""
 EXACT_SECONDS = 2.0
 """Of looking for an exact value of the closed loop, about, before it is sampled alone."""
-PRECISIONS = Numbers(0, 1, above=True, below=True, said="a fraction of the accessible cells in (0, 1)")
-EXACT_EFFORT = Numbers(0, 1e6, above=True, said="auto, never, or a number of seconds above 0, at most 1e6")
 SECONDS = 10.0
 """Of rolling out, after which an answer that nobody gave a size stops, whatever its interval."""
 
@@ -83,16 +82,14 @@ class RolloutChoices:
 
     def check(self) -> None:
         """Raise UsageError for an unknown word, a value out of range, or a combination that has no answer."""
-        check_word("loop", self.loop, ("open", "closed"))
-        check_word("engine", self.engine, ENGINES)
+        for name in ("loop", "engine"):
+            check_word(name, getattr(self, name), OPTIONS[name].words)
         if self.engine == "jax":
             check_jax()
-        whole(1, MOST_ROLLOUTS).check("rollouts", self.rollouts)
-        PRECISIONS.check("precision", self.precision, optional=True)
-        POSITIVE.check("seconds", self.seconds, optional=True)
+        for name in ("rollouts", "precision", "seconds", "seed"):
+            OPTIONS[name].numbers.check(name, getattr(self, name), optional=name in ("precision", "seconds"))
         if self.exact not in ("auto", "never"):
-            EXACT_EFFORT.check("exact", self.exact)
-        SEED.check("seed", self.seed)
+            OPTIONS["exact"].numbers.check("exact", self.exact)
         if not isinstance(self.deadline, str) or seconds_of(self.deadline) is None:
             whole(0, MAX_STEP + 1, said=f"{SPANS}, at most {MAX_STEP + 1} steps").check(
                 "deadline", self.deadline, optional=True

@@ -20,45 +20,40 @@ from mrac_jax import forks as forks  # which has to be there before a fork
 if TYPE_CHECKING:
     from analysis import plots
     from analysis.api import (
-        attack,
         check,
-        clear,
         compare,
+        drive,
         evaluate,
         export,
         front,
+        generate,
         judge,
         load,
-        mission,
         plan,
         read_outcomes,
         read_rollouts,
         record,
-        reproduce,
         results,
         size,
         starts,
         suite,
         sweep,
+        threats,
     )
     from mrac_jax import functional
-    from mrac_jax.environment.making import env
+    from mrac_jax.env.making import env
     from planner.errors import InputError
     from planner.plan.plan import Plan
     from planner.plan_team import read_plan
     from planner.rollouts.coverage_gradient import closed_loop_gradient
     from planner.settings import Settings
-    from planner.world.changing_maps import with_hazard, with_maps, with_phases, with_spread
-    from planner.world.features import with_movers, with_prior, with_sense, with_truth
-    from planner.world.levels import to_networkx
     from planner.world.world import World
 
 __version__ = next((found.version for found in distributions(name="mrac-jax")), "0+unknown")  # not installed
 __all__ = [
-    "InputError", "Plan", "Settings", "World", "attack", "check", "clear", "closed_loop_gradient", "compare", "env",
-    "evaluate", "export", "front", "functional", "judge", "load", "mission", "plan", "plots", "read_outcomes",
-    "read_plan", "read_rollouts", "record", "reproduce", "results", "size", "starts", "suite", "sweep", "to_networkx",
-    "with_hazard", "with_maps", "with_movers", "with_phases", "with_prior", "with_sense", "with_spread", "with_truth",
+    "InputError", "Plan", "Settings", "World", "check", "closed_loop_gradient", "compare", "drive", "env", "evaluate",
+    "export", "front", "functional", "generate", "judge", "load", "plan", "plots", "read_outcomes", "read_plan",
+    "read_rollouts", "record", "results", "size", "starts", "suite", "sweep", "threats",
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",
@@ -66,17 +61,28 @@ ELSEWHERE = {
     "Settings": "planner.settings",
     "World": "planner.world.world",
     "closed_loop_gradient": "planner.rollouts.coverage_gradient",
-    "env": "mrac_jax.environment.making",
+    "env": "mrac_jax.env.making",
     "functional": "mrac_jax.functional",
     "plots": "analysis.plots",
     "read_plan": "planner.plan_team",
-    "to_networkx": "planner.world.levels",
-    "with_movers": "planner.world.features",
-    "with_phases": "planner.world.changing_maps",
-    **dict.fromkeys(("with_hazard", "with_maps", "with_spread"), "planner.world.changing_maps"),
-    **dict.fromkeys(("with_prior", "with_sense", "with_truth"), "planner.world.features"),
 }
-"""Where a name lives, if not in `analysis.api`."""
+"""The module of a name, if it is not `analysis.api`."""
+OF_0_3 = {
+    "with_hazard": ("planner.world.changing_maps", "World.with_latent_hazard"),
+    "with_maps": ("planner.world.changing_maps", "World.with_maps"),
+    "with_movers": ("planner.world.features", "World.with_moving_threats"),
+    "with_phases": ("planner.world.changing_maps", "World.with_phases"),
+    "with_prior": ("planner.world.features", "World.with_prior_map"),
+    "with_sense": ("planner.world.features", "World.with_sensor_range"),
+    "with_spread": ("planner.world.changing_maps", "World.with_spread"),
+    "with_truth": ("planner.world.features", "World.with_true_map"),
+    "to_networkx": ("planner.world.levels", "World.to_networkx"),
+    "attack": ("analysis.api", "threats(..., add=1)"),
+    "clear": ("analysis.api", "threats(..., remove=1)"),
+    "mission": ("analysis.api", "drive"),
+    "reproduce": ("analysis.api", "check(paper=...)"),
+}
+"""Names of release 0.3, which work for one release: where each stands, and what it is called today."""
 MODULES = ("functional", "plots")
 """Names that are modules themselves."""
 NEIGHBOURS = ("planner", "analysis")
@@ -84,19 +90,22 @@ HOME = Path(__file__).parent.parent
 
 
 def __getattr__(name: str) -> Any:
-    if name not in __all__:
+    if name not in __all__ and name not in OF_0_3:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     for neighbour in NEIGHBOURS:
         _check_is_ours(neighbour)
+    if name in OF_0_3:
+        module, new = OF_0_3[name]
+        import_module("planner.errors").warn_renamed(f"mrac_jax.{name}", f"mrac_jax.{new}")
+        home = import_module(module)
+        return getattr(home, name, None) or home.OF_0_3[name]
     home = import_module(ELSEWHERE.get(name, "analysis.api"))
     if name in MODULES:
         return home
     found = getattr(home, name)
-    return (
-        import_module("analysis.utils.notes").with_hints(found, _functions)
-        if isinstance(found, FunctionType)
-        else found
-    )
+    if not isinstance(found, FunctionType):
+        return found
+    return import_module("analysis.utils.notes").with_hints(found, _functions)
 
 
 def _functions() -> dict[str, FunctionType]:

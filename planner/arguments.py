@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from contextvars import ContextVar
 from dataclasses import dataclass
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, Literal, get_args
 
 from planner.errors import InputError, PlanError, UsageError
 
@@ -27,6 +27,9 @@ LEAST_SHAPE, MOST_SHAPE = 0.25, 16.0
 """Of what robots that wear bear (`planner.failure_model`)."""
 LEAST_SUSCEPTIBILITY, MOST_SUSCEPTIBILITY = 1 / 64, 64.0
 """How often exposure counts on a robot."""
+
+EngineName = Literal["auto", "jax", "numba"]
+ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 
 # Arguments.
 

@@ -44,7 +44,7 @@ _WINDOW = 2**27
 _CHUNK_START, _CHUNK_CRC = struct.Struct("<Q"), slice(24, 28)
 """The first field of a chunk, its first log time, and the place of its checksum."""
 UNCHECKED = "its messages are under no checksums: try `mcap recover` of the MCAP command line tools"
-"""Fix for a damaged log from which `mrac-jax recover` saves nothing."""
+"""Fix for a damaged log from which `mrac-jax inspect --repair` saves nothing."""
 
 
 class Damaged(ValueError):
@@ -81,7 +81,7 @@ def mapped(path: Path, error: type[InputError] = InputError) -> memoryview:
 
 def refusal(path: Path, problem: str, data: memoryview, error: type[InputError] = InputError) -> InputError:
     """The error of every reader for a truncated or damaged log, with a fix."""
-    fix = UNCHECKED if unchecked(data) else f"try `mrac-jax recover {shlex.quote(printable(path))}`"
+    fix = UNCHECKED if unchecked(data) else f"try `mrac-jax inspect --repair OUT {shlex.quote(printable(path))}`"
     return error(f"truncated or damaged: {problem}", source=path, fix=fix)
 
 

@@ -11,11 +11,15 @@ from typing import TYPE_CHECKING, Any, Literal
 from planner.arguments import (
     ANY,
     COMMAND_LINE,
+    ENGINES,
     LEAST_SHAPE,
     LEAST_SUSCEPTIBILITY,
     MAX_STEP,
+    MOST_ROLLOUTS,
     MOST_SHAPE,
     MOST_SUSCEPTIBILITY,
+    POSITIVE,
+    SEED,
     Numbers,
     argument,
     check_each,
@@ -24,11 +28,10 @@ from planner.arguments import (
     is_real,
     whole,
 )
-from planner.errors import PlanError
+from planner.errors import LOOPS, PlanError, warn_renamed
 from planner.formatting import TIMES, UNPACED, Pace
 from planner.policies import DEFAULT, RULES, Rule, rule_of
 from planner.policies.rules import NEAREST, ORDERS, InAreaOrder
-from planner.renamed import LOOPS, warn_renamed
 from planner.simulator.offers import Offer
 
 if TYPE_CHECKING:
@@ -57,10 +60,14 @@ MOST_PRIORITY = 1000
 
 @dataclass(frozen=True)
 class Setting:
-    """What a setting may be, and how it is spoken of.
+    """What a setting or another option may be, and how it is spoken of.
 
     Attributes:
         title: on pages. help: of its option.
+        group: under which `--help` lists it. default: of an option that is no setting.
+        form: kind of an option whose values are neither numbers nor words: "flag", "switch" (a flag with a `--no-`),
+            "path", "text", "texts" (may be repeated), "effort" (of `exact`), "reach" (a number of cells, or inf).
+        rare: `--help` leaves it out, `--help-all` has it.
         numbers: that it may be. each: one for all, or a tuple of one a robot. words: that it may be instead.
         names: it is a name, or a tuple of one a robot.
         found: by a search, a number for each cell of the map: it has no option.
@@ -83,10 +90,16 @@ class Setting:
     names: bool = False
     found: bool = False
     before: Mapping[str, str] = field(default_factory=dict)
+    group: str = "Planning"
+    default: Any = None
+    form: str = ""
+    rare: bool = True
 
     @property
     def kind(self) -> str:
-        """ "word", "time", "places", "names", "whole", "number", or of one a robot "wholes", "numbers"."""
+        """ "word", "time", "places", "names", "whole", "number", of one a robot "wholes", "numbers", or the form."""
+        if self.form:
+            return self.form
         if self.names:
             return "names"
         if self.time or self.places:
@@ -173,19 +186,19 @@ class Settings:
     """
 
     levels: int = _setting(
-        16, "threat levels at most", "Most threat levels, safe counted (default: the input's, else 16).",
+        16, "threat levels at most", "Largest number of threat levels, p = 0 included (default: the input's, else 16).",
         whole(2, MOST_LEVELS),
     )  # fmt: skip
     density: float = _setting(
-        4.0, "density d", "Safe cells that each robot of a safe area is to have at least (default: 4).",
+        4.0, "density d", "Minimum number of cells per robot in a safe area (default: 4).",
         Numbers(1, MOST_DENSITY, above=True),
     )  # fmt: skip
     risk: Literal["paper", "log"] = _setting(
-        "paper", "risk", "Cost of a dangerous cell: paper, p / p_min; log, by survival (default: paper).",
+        "paper", "risk", "Cost of a dangerous cell: paper, p / p_min; log, -log(1 - p) (default: paper).",
         words=("paper", "log"),
     )  # fmt: skip
     transit: Literal["grid", "area"] = _setting(
-        "grid", "transit", "Legs inside an area may cross others (grid) or not (area) (default: grid).",
+        "grid", "transit", "Legs inside an area may cross other areas (grid) or not (area) (default: grid).",
         words=("grid", "area"),
     )  # fmt: skip
     max_steps: int | None = _setting(
@@ -194,66 +207,66 @@ class Settings:
     )  # fmt: skip
     policy: Policy = _setting(  # noqa: RUF009
         DEFAULT, "policy",
-        "Next area: mrac, nearest; per_cell, least cost a cell; watchful, looks again before every danger; frontier, "
-        "for robots that learn the map (default: mrac).",
-        words=tuple(RULES), later=True,
+        "Next area: mrac, the nearest; per_cell, the least cost per new cell; watchful, re-evaluated before every "
+        "dangerous cell; frontier, for robots without a known map (default: mrac).",
+        words=tuple(RULES), later=True, rare=False,
     )  # fmt: skip
     risk_cap: float | None = _setting(
-        None, "risk cap", "With per_cell: at most this share of the robots alive are at risk at once.",
+        None, "risk cap", "Largest share of the surviving robots at risk at once, with per_cell (default: 1).",
         Numbers(0, 1, above=True), unset="none", later=True,
     )  # fmt: skip
     robot_value: float | None = _setting(
         None, "robot value",
-        "With per_cell: value of a robot in new cells; areas with a higher expected loss are left out.",
+        "Value of a robot in new cells, with per_cell; areas with a higher expected loss are skipped (default: none).",
         Numbers(0, above=True), unset="none", later=True,
     )  # fmt: skip
     plan_for: str = _setting(
         "closed_loop", "planned for",
-        "closed_loop: robots take over from the lost (default); open_loop: they follow paths.",
+        "closed_loop: survivors take over the work of lost robots (default); open_loop: fixed paths.",
         words=("closed_loop", "open_loop"), later=True, before=LOOPS,
     )  # fmt: skip
     effort: int | None = _setting(
-        None, "effort of the search", "With plan-for open: so many paths are evaluated (default: 200000).",
+        None, "effort of the search", "Paths that the search of --plan-for open_loop evaluates (default: 200000).",
         whole(0, MOST_EFFORT), unset="200,000 evaluations", later=True,
     )  # fmt: skip
     range: int | tuple[int, ...] | None = _setting(
-        None, "range", "Moves a robot can make, then it stays: one number, or one a robot (default: any).",
-        whole(1, MAX_STEP), each=True, unset="any number of moves", later=True,
+        None, "range", "Number of moves before a robot stops: one number, or one per robot (default: unlimited).",
+        whole(1, MAX_STEP), each=True, unset="any number of moves", later=True, rare=False,
     )  # fmt: skip
     deadline: int | None = _setting(
-        None, "deadline", "End the mission at this step, or by 45min: the plan and all that is made of it keep to it.",
-        whole(0, MAX_STEP), unset="none", time=True, later=True,
+        None, "deadline", "End the mission at this step, or at a time: 45min, 1h30min, 90s.",
+        whole(0, MAX_STEP), unset="none", time=True, later=True, rare=False,
     )  # fmt: skip
     weibull_shape: float = _setting(
-        1.0, "Weibull shape", "Shape of the failure threshold; above 1 robots wear out and p is a dose (default: 1).",
+        1.0, "Weibull shape", "Weibull shape of the failure threshold; above 1 robots wear out (default: 1).",
         Numbers(LEAST_SHAPE, MOST_SHAPE), later=True,
     )  # fmt: skip
     hazard_multiplier: float | tuple[float, ...] = _setting(
-        1.0, "hazard multiplier", "Factor on the hazard of every visit: one number, or one a robot (default: 1).",
+        1.0, "hazard multiplier", "Factor on the hazard of every visit: one number, or one per robot (default: 1).",
         Numbers(LEAST_SUSCEPTIBILITY, MOST_SUSCEPTIBILITY), each=True, later=True,
     )  # fmt: skip
     return_to: str | tuple[tuple[int, int], ...] | None = _setting(
-        None, "return to", 'Robots come home: to home, their own start; nearest; or to bases, "row,col;row,col;...".',
-        words=("home", "nearest"), unset="nowhere", places=True, later=True,
+        None, "return to", 'Return to: home (the own start), nearest (any start) or bases "row,col;row,col;...".',
+        words=("home", "nearest"), unset="nowhere", places=True, later=True, rare=False,
     )  # fmt: skip
     recharge: int | None = _setting(
-        None, "recharge", "With range and return-to: so many steps at a base, then a robot has its range again.",
+        None, "recharge", "Steps at a base that restore the range, with --range and --return-to (default: never).",
         whole(1, MAX_STEP), unset="never", later=True,
     )  # fmt: skip
     types: str | tuple[str, ...] | None = _setting(
-        None, "types of robots", "Type of all robots, or of each, of the scenario's matrix: drone,rover,rover.",
+        None, "types of robots", "Type of all robots, or of each, from the scenario: drone,rover,rover.",
         unset="none", later=True, names=True,
     )  # fmt: skip
     steps_per_move: int | tuple[int, ...] | None = _setting(
-        None, "steps a move", "Steps that a move takes, where robots differ in speed: 1,2 (default: 1 each).",
+        None, "steps a move", "Steps per move of each robot: 1,2 (default: 1 each).",
         whole(1, MOST_PACE), each=True, unset="1", later=True,
     )  # fmt: skip
     radio: float | None = _setting(
-        None, "radio", "Robots hear each other, and the base, as far as this, in cells, in a chain (default: any).",
+        None, "radio", "Radio range in cells, to another robot or a base (default: unlimited).",
         Numbers(0, 1e6, above=True), unset="any distance", later=True,
     )  # fmt: skip
     in_area: InAreaOrder = _setting(  # noqa: RUF009
-        NEAREST, "order within areas", "In safe areas straight on: boustrophedon, or rows, columns (default: nearest).",
+        NEAREST, "order within areas", "Order of cells in safe areas (default: nearest).",
         words=ORDERS, later=True,
     )  # fmt: skip
     priority: int | tuple[int, ...] | None = _setting(
@@ -403,6 +416,58 @@ def _defaults() -> dict[str, Any]:
 
 
 SETTINGS: dict[str, Setting] = {item.name: item.metadata["setting"] for item in fields(Settings) if item.metadata}
+LOOP_WORDS = ("closed", "open")
+TEAM, GOAL, ROLLOUTS, SURVEY, TIMELINE, OUTPUT = "Team", "Goal", "Rollouts", "Many maps", "Timeline", "Output"
+"""Groups of options, beside "Planning"."""
+
+
+def _option(
+    group: str, name: str, text: str, form: str = "", numbers: Numbers = ANY, default: Any = None, **more: Any
+) -> tuple[str, Setting]:
+    more = dict[str, Any]({"unset": "unset", "rare": False}) | more
+    return name, Setting(name.replace("_", " "), text, numbers, group=group, form=form, default=default, **more)
+
+
+OPTIONS: dict[str, Setting] = SETTINGS | dict([
+    _option(TEAM, "robots", "Number of robots (default: the input's starts or count, else 1).", numbers=whole(1, 1024)),
+    _option(TEAM, "starts", 'Start cells, "row,col;row,col;..." (default: the input\'s, else upper left).', "text"),
+    _option(TEAM, "cell_size", "Side of a cell in metres; a bare map is coarsened to it (default: its pixels)."),
+    _option(TEAM, "step_seconds", "Duration of a step in seconds; adds times in minutes.", rare=True),
+    _option(TEAM, "speed", "Speed in metres per second, instead of --step-seconds.", rare=True),
+    _option(TEAM, "turn", "Steps per quarter turn; adds times with turns.", rare=True),
+    _option(TEAM, "sensor_range", "Sensor range in cells of robots without a known map; inf: the whole map.", "reach",
+            rare=True),
+    _option("Planning", "plan", "Plan file to use instead of planning.", "path"),
+    _option("Planning", "state", "Start from a mission state: JSON, tracks or visited cells (.csv), mask (.npy, .png), "
+            "OccupancyGrid (.yaml, .mcap); --starts gives the robots' cells if the file does not.", "path"),
+    _option(ROLLOUTS, "loop", "closed: survivors take over the work of lost robots (default); open: fixed paths.",
+            words=LOOP_WORDS),
+    _option(ROLLOUTS, "rollouts", "Number of rollouts.", numbers=whole(1, MOST_ROLLOUTS)),
+    _option(ROLLOUTS, "precision", "Stop at this half-width of the 95 % interval of mean coverage, a fraction.",
+            numbers=Numbers(0, 1, above=True, below=True, said="a fraction of the accessible cells in (0, 1)")),
+    _option(ROLLOUTS, "seed", "Seed of the rollouts; the map and the plan do not depend on it (default: 0).",
+            numbers=SEED, default=0),
+    _option(ROLLOUTS, "engine", "Simulator; results do not depend on it. auto: numba, or jax on a GPU (default).",
+            words=ENGINES, default="auto", rare=True),
+    _option(ROLLOUTS, "exact", "Compute exact closed-loop values of small teams: auto (about 2 s), never, or seconds "
+            "(default: auto).", "effort", default="auto", rare=True,
+            numbers=Numbers(0, 1e6, above=True, said="auto, never, or a number of seconds above 0, at most 1e6")),
+    _option(ROLLOUTS, "threat_checks", "Visits that may destroy a robot: every_visit (default), or the first_visit of "
+            "each cell by any robot.", words=("every_visit", "first_visit"), default="every_visit", rare=True),
+    _option(ROLLOUTS, "seconds", "Stop after this many seconds of rollouts (default: 10; none with --rollouts or "
+            "--precision).", numbers=POSITIVE, rare=True),
+    _option(GOAL, "target", "Fraction of the accessible cells to cover, above 0, at most 1."),
+    _option(SURVEY, "processes", "Number of processes; results do not depend on it (default: one per core).",
+            numbers=whole(1)),
+    _option(SURVEY, "scheduler", "A dask.distributed scheduler, tls://host:8786 or tcp://host:8786.", "text"),
+    _option(SURVEY, "store", "Keep results in this file, and reuse those that it has.", "path"),
+    _option(OUTPUT, "bound", "Compute the upper bound on maps with more than 1,000 dangerous cells too.", "flag",
+            default=False, rare=True),
+    _option(OUTPUT, "out", "Write the page, pictures and JSON to this folder.", "path"),
+    _option(OUTPUT, "force", "Replace existing files without asking.", "flag", default=False),
+    _option(OUTPUT, "json", "Print one JSON object and nothing else.", "flag", default=False),
+])  # fmt: skip
+"""Every option that more than one command, function or file shares, by name."""
 _Given: Any = make_dataclass("_Given", [(name, Any, None) for name in SETTINGS], frozen=True)
 
 

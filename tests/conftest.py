@@ -32,6 +32,7 @@ settings.register_profile("default", deadline=None, derandomize=True, print_blob
 settings.load_profile("default")
 gc.set_threshold(100_000, 50, 100)  # compilers make and drop many small objects: a tenth of their time was collecting
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
+sys.path.append(str(Path(__file__).parents[1] / "docs" / "examples"))  # the studies there are tested here
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # set, every process would compile all modules: a third of its start
 os.environ.pop("COLUMNS", None)  # a worker of pytest-xdist has 80: output is as on a pipe
 os.unsetenv("COLUMNS")  # readline, which pytest imports, sets it for child processes alone

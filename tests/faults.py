@@ -64,18 +64,18 @@ sweep: {robots: [1, 2], policy: [mrac, per_cell]}
 LONG = {
     "evaluate": "evaluate world.npz --rollouts 2000 --out new",
     "sweep": "sweep sweep.yaml --store a.store --processes 1 --out new",
-    "reproduce": "reproduce fig4 --maps 2 --rollouts 20 --processes 1 --store r.store --out new",
+    "reproduce": "check --paper fig4 --maps 2 --rollouts 20 --processes 1 --store r.store --out new",
     "record": "record world.npz --ids 1-20 --out a.mcap --force",
     "front": "front world.npz --losses 1 --rollouts 256 --plan-out plan.json --out new --force",
     "size": "size world.npz --target 0.8 --rollouts 512 --exact never --out new",
-    "clear": "clear world.npz --rollouts 256 --exact never --out new",
-    "attack": "attack world.npz --rollouts 256 --exact never --out new",
+    "clear": "threats world.npz --remove 1 --rollouts 256 --exact never --out new",
+    "attack": "threats world.npz --add 1 --rollouts 256 --exact never --out new",
     "starts": "starts world.npz --rollouts 256 --exact never --out new",
     "compare": "compare world.npz world.npz --b.policy per_cell --rollouts 512 --exact never --out new",
 }
 POOLED = {
     "sweep of two": "sweep sweep.yaml --store a.store --processes 2 --out new",
-    "reproduce by two": "reproduce fig4 --maps 2 --rollouts 20 --processes 2 --store r.store --out new",
+    "reproduce by two": "check --paper fig4 --maps 2 --rollouts 20 --processes 2 --store r.store --out new",
     "check by two": "check --worlds 6 --size 5x6 --rollouts 64 --processes 2 --out new",
 }
 

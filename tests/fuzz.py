@@ -63,7 +63,7 @@ FILE = "<img src=x onerror=alert(1)>\u202e\x1b[31m.npz"
 """Of a world."""
 MARKUP = re.compile(r"<script>alert|<img src=x")
 PLAUSIBLE = ("1", "2", "0.5", "20", "0,0;1,1", "1,2", "new.csv", "new", "plan.json", "40s", "6x6")
-ROLLED = {"evaluate", "record", "compare", "check", "front", "size", "starts", "clear", "attack"}
+ROLLED = {"evaluate", "record", "compare", "check", "front", "size", "starts", "threats"}
 COMMANDS = (*sorted(ROLLED), "plan", "generate", "drive", "export", "results")
 VALID = {
     "--ids": "1-3", "--starts": "0,0;1,1", "--candidates": "0,0;1,1;2,2", "--range": "30", "--deadline": "20",
@@ -317,7 +317,12 @@ def begun(command: str, draw: random.Random) -> list[str]:
     source = draw.choice(("world.npz", "world.npz", "geojson.yaml", FILE))
     words = {"generate": ["new.npz"], "results": ["kept.store"], "compare": [source, "world.npz"]}
     few = ["--rollouts", "64"] if command in ROLLED else []
-    needed = {"record": ["--out", "new.mcap"], "export": ["--out", "new.csv"], "size": ["--target", "0.6"]}
+    needed = {
+        "record": ["--out", "new.mcap"],
+        "export": ["--out", "new.csv"],
+        "size": ["--target", "0.6"],
+        "threats": ["--add"],
+    }
     return [command, *words.get(command, [source]), *few, *needed.get(command, [])]
 
 
@@ -364,7 +369,7 @@ def broken(number: int, valid: dict[str, tuple[bytes, int]]) -> list[str]:
         Path(target.changed).write_bytes(given)
         if draw.random() < 0.5 and "--json" in words:
             words.remove("--json")
-        if draw.random() < 0.01 and words[0] in ("evaluate", "sweep", "clear"):
+        if draw.random() < 0.01 and words[0] in ("evaluate", "sweep", "threats"):
             words += ["--out", "new"]
     else:
         words = options(draw) if target.name == "options" else pair(number // len(TARGETS), draw)

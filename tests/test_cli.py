@@ -8,6 +8,7 @@ import re
 import shlex
 import subprocess
 import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -300,7 +301,7 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("evaluate WORLD --xyzzy", "Unknown option: --xyzzy; `mrac-jax evaluate --help` lists its options"),
         ("evaluate WORLD --policy percell", "or best; did you mean 'per_cell'?"),
         ("evaluate WORLD --engine nunba", "did you mean 'numba'?"),
-        ("evaluate WORLD --metrics coverag", "did you mean 'coverage'?"),
+        ("evaluate WORLD --metrics coverage", "--metrics: left with release 0.4; docs/value.md"),
         ("evaluate WORLD --precision 5", "in (0, 1); did you mean 0.05?"),
         ("size WORLD --target 0.9 --confidence 95", "did you mean 0.95?"),
         ("plan WORLD --policy per_cell --risk-cap 20", "did you mean 0.2?"),
@@ -512,7 +513,7 @@ def test_a_folder_keeps_what_was_read_from_it(tmp_path: Path, monkeypatch: pytes
     World.create([[0.0, 0.1, 0.1]], [[0, 0]]).save("known.npz")
     few = ["--rollouts", "64", "--out", "."]
     before = {name: Path(name).read_bytes() for name in ("world.png", "known.npz")}
-    assert run(["attack", "known.npz", *few]) == 0
+    assert run(["threats", "known.npz", "--add", "1", *few]) == 0
     assert run(["evaluate", "s.yaml", "--no-advice", *few]) == 0
     assert Path("world.png").read_bytes() == before["world.png"] != Path("evaluation/world.png").read_bytes()
     assert Path("known.npz").read_bytes() == before["known.npz"] != Path("attack/known.npz").read_bytes()
@@ -532,8 +533,10 @@ def test_a_folder_keeps_what_was_read_from_it(tmp_path: Path, monkeypatch: pytes
     [
         ("plan example:paper --altitude 3", "--altitude without --waypoints"),
         ("plan p.json --seconds 5", "--seconds 5"),
-        ("suite --plans A=x --plans A=y", "'A' is named twice"),
-        ("suite --actions areas", "--actions areas without --policy"),
+        ("threats example:paper", "threats needs --remove or --add"),
+        ("threats example:paper --remove 1 --p 0.3", "--p 0.3 with --remove"),
+        ("threats example:paper --add --unit areas", "--unit areas with --add"),
+        ("inspect p.json --all", "--all without --replay"),
     ],
 )
 def test_an_option_that_would_do_nothing_is_refused(
@@ -597,6 +600,56 @@ def test_interrupted_prints_what_was_done(capsys: pytest.CaptureFixture[str], mo
     assert 1024 <= found["rollouts"] < 10_000_000
 
 
+RENAMED = {
+    "clear a.npz --count 2 --remove areas": "threats a.npz --remove 2 --unit areas",
+    "clear a.npz --rollouts 9": "threats a.npz --rollouts 9 --remove 1",
+    "attack a.npz --count=2 --p 0.3": "threats a.npz --add 2 --p 0.3",
+    "replay a.mcap --all": "inspect a.mcap --all --replay",
+    "recover a.mcap --out b.mcap": "inspect a.mcap --repair b.mcap",
+    "recover a.mcap": "inspect a.mcap --repair a.recovered.mcap",
+    "reproduce fig4 --maps 2": "check --paper fig4 --maps 2",
+}
+
+
+@pytest.mark.parametrize("old", RENAMED)
+def test_commands_of_release_0_3_run_the_new_ones_after_one_line(
+    old: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    seen: list[list[str]] = []
+    monkeypatch.setattr("analysis.cli.app.app", lambda words, **how: seen.append(words))
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        assert run(old.split()) == 0
+    assert seen == [RENAMED[old].split()]
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"note: `{old.split()[0]}` is now `{seen[0][0]} --")
+
+
+@pytest.mark.parametrize("words", ["graph x", "suite --only x", "reproduce policies", "reproduce moving --maps 2"])
+def test_commands_that_are_gone_print_one_line(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(words.split()) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("words", ["threats a.npz --remove", "threats --add a.npz", "threats a.npz --add --seed 2"])
+def test_a_number_of_threats_is_one_by_default(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[str] = []
+    monkeypatch.setattr("analysis.cli.app.app", lambda given, **how: seen.extend(given))
+    assert run(words.split()) == 0
+    assert re.search(r"--(add|remove) 1\b", " ".join(seen))
+
+
+def test_help_lists_commands_in_five_groups(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["--help"]) == 0
+    listed = re.findall(r"^(?:╭─|│) (\w+) ", capsys.readouterr().out, re.MULTILINE)
+    assert listed == [
+        "Answer", "evaluate", "compare", "front", "size", "studio", "Place", "starts", "threats", "Drive", "plan",
+        "export", "drive", "Record", "record", "inspect", "Research", "sweep", "results", "check", "generate",
+        "Commands",
+    ]  # fmt: skip
+
+
 def test_help_is_quick_to_import() -> None:
     """`--help` loads none of the heavy libraries (measured: under 0.5 s)."""
     script = (
@@ -616,7 +669,7 @@ CLOSED, FRONT = ["evaluate", "map.npz", *TEAM, *FEW], ["--robot-values", "12.5",
 COMMANDS = {
     "evaluate": [*CLOSED, "--threat-scale", "0.5,2", "--deadline", "40", "--theory"],
     "open loop": [*CLOSED, "--loop", "open", "--theory"],
-    "value": ["evaluate", "valued.yaml", *FEW, "--metrics", "search"],
+    "value": ["evaluate", "valued.yaml", *FEW],
     "in doubt": ["evaluate", "doubtful.yaml", *FEW],
     "size": ["size", "map.npz", "--target", "0.9", "--most", "4", *FEW],
     "size of value": ["size", "valued.yaml", "--target", "0.9", "--most", "4", *FEW],
@@ -624,9 +677,9 @@ COMMANDS = {
     "front with a goal": ["front", "valued.yaml", "--target", "0.5", *FRONT],
     "starts": ["starts", "map.npz", *TEAM, *FEW],
     "starts of value": ["starts", "valued.yaml", "--depot", *FEW],
-    "clear": ["clear", "map.npz", *TEAM, *FEW],
-    "attack": ["attack", "map.npz", *TEAM, *FEW],
-    "attack on value": ["attack", "valued.yaml", "--count", "2", "--p", "0.4", *FEW],
+    "threats to remove": ["threats", "map.npz", "--remove", "1", *TEAM, *FEW],
+    "threats to add": ["threats", "map.npz", "--add", "1", *TEAM, *FEW],
+    "threats to add on value": ["threats", "valued.yaml", "--add", "2", "--p", "0.4", *FEW],
     "compare": ["compare", "map.npz", *TEAM, "--b.policy", "per_cell", "--b.robot-value", "12.5", *FEW],
     "check": ["check", "map.npz", *TEAM, *FEW],
     "check of many": ["check", "--worlds", "2", "--robots", "1,2,3,4,12", "--size", "6x6", "--processes", "1", *FEW],
@@ -803,7 +856,7 @@ def test_help_is_still_drawn(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def help_of(command: str, capsys: pytest.CaptureFixture[str]) -> str:
-    assert run([command, "--help"]) == 0
+    assert run([command, "--help-all"]) == 0
     return re.sub(r"[\s│]+", " ", capsys.readouterr().out)
 
 

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from analysis.inputs import Asked, load_task, parse_starts
 from analysis.sampling import RolloutChoices
 from analysis.search.team_size import make_goal
 from planner.arguments import COMMAND_LINE, Numbers, argument, is_real, is_whole, nearest
-from planner.errors import InputError, PlanError, UsageError, WorldError
+from planner.errors import InputError, PlanError, RenamedWarning, UsageError, WorldError
 from planner.make_plan import make_plan
 from planner.settings import Choices, Settings
 from planner.world.generate import ThreatPattern, random_world
@@ -50,9 +51,37 @@ def test_every_name_is_there_and_documented() -> None:
     assert set(mrac.__all__) <= set(dir(mrac))
     for name in mrac.__all__:
         assert getattr(mrac, name).__doc__, name
-        assert re.search(rf"auto\w+:: {name}\n|`mrac.{name}`", REFERENCE), name
+        assert re.search(rf"auto\w+:: (mrac_jax\.env\.making\.)?{name}\n|`mrac.{name}`", REFERENCE), name
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = mrac.nothing
+
+
+def test_names_of_release_0_3_work_with_one_warning_and_are_not_listed() -> None:
+    assert len(dir(mrac)) <= 30 and not set(mrac.OF_0_3) & set(dir(mrac))
+    world = mrac.load([[0.0, 0.2, 0.0, 0.1]])
+    calls: dict[str, Callable[[Callable[..., Any]], Any]] = {
+        "attack": lambda old: old(world, 1, count=2, p=0.3, rollouts=16, progress=False).known.threats,
+        "clear": lambda old: old(world, 1, count=1, remove="areas", rollouts=16, progress=False).picks,
+        "mission": lambda old: old(world, 1).orders,
+        "reproduce": lambda old: old("fig4", maps=1, rollouts=1, processes=1, progress=False).points,
+        "to_networkx": lambda old: old(world).nodes,
+        "with_hazard": lambda old: old(world, "persistent", 0.5).doubt,
+        "with_maps": lambda old: old(world, [world.threat]).doubt,
+        "with_movers": lambda old: old(world, [{"walk": 0.5, "h": 0.2}]).movers,
+        "with_phases": lambda old: old(world, [(3, [[0, 0, 0, 0]])]).phases,
+        "with_prior": lambda old: old(world, 0.1, sense=1).knowledge,
+        "with_sense": lambda old: old(world.with_prior_map(0.1), 2).knowledge,
+        "with_spread": lambda old: old(world, "lognormal", 0.3).doubt,
+        "with_truth": lambda old: old(world, world).knowledge,
+    }
+    assert set(calls) == set(mrac.OF_0_3)
+    for name, call in calls.items():
+        with pytest.warns(RenamedWarning, match=rf"mrac_jax.{name} is now mrac_jax\.\w"):
+            old = getattr(mrac, name)
+        assert call(old), name
+    with pytest.warns(RenamedWarning, match="`first_visit` is now `threat_checks`"):
+        answer = mrac.evaluate(world, 1, rollouts=16, advice=False, band=False, first_visit=True)
+    assert answer.choices.first_only
 
 
 def test_the_door_imports_nothing_until_it_is_asked() -> None:
@@ -67,9 +96,14 @@ def test_the_door_imports_nothing_until_it_is_asked() -> None:
 
 def test_no_room_hides_a_function_of_the_door() -> None:
     rooms = {found.name for found in pkgutil.iter_modules(mrac.__path__)}
-    assert rooms & set(mrac.__all__) == {"functional"}  # a module by either name
+    assert rooms & set(mrac.__all__) == {"functional", "env"}  # a module by either name; a package that is called
     assert mrac.functional.__name__ == "mrac_jax.functional"
     assert mrac.plots.__name__ == "analysis.plots"
+    from mrac_jax.env import making
+
+    assert making.__name__ == "mrac_jax.env.making" and mrac.env is sys.modules["mrac_jax.env"]
+    with pytest.raises(UsageError, match="did you mean 'actions'"):
+        mrac.env(mrac.load([[0.0, 0.1]]), actionz="areas")
 
 
 def test_five_jobs_with_one_import(tmp_path: Path) -> None:
@@ -137,8 +171,7 @@ WRONG = {
     "of front": (lambda world, plan: mrac.evaluate(world, losses=1), "; it is an argument of front"),
     "of plan": (
         lambda world, plan: mrac.check(world, policy="per_cell"),
-        "check has no argument 'policy'; expected one of world, plan, rollouts, seed, engine, first_visit, "
-        "bound, theory, progress, on_interrupt; give it to `plan`, and the plan to `check`",
+        "; give it to `plan`, and the plan to `check`",
     ),
     "misspelt of front": (lambda world, plan: mrac.evaluate(world, loses=1), "did you mean 'losses', an argument of"),
     "plural": (
@@ -146,7 +179,10 @@ WRONG = {
         "did you mean 'robot_values'? robot_value is an argument of",
     ),
     "of an environment": (lambda world, plan: mrac.env(world, 2, actionz="areas"), "did you mean 'actions'?"),
-    "of a world": (lambda world, plan: mrac.with_sense(world, ranges=2), "with_sense has no argument 'ranges'"),
+    "both threats": (lambda world, plan: mrac.threats(world, remove=1, add=1), "threats needs remove or add"),
+    "unit": (lambda world, plan: mrac.threats(world, add=1, unit="areas"), "unit='areas' with add"),
+    "two checks": (lambda world, plan: mrac.check(world, paper="fig4"), "both a world and paper are given"),
+    "maps": (lambda world, plan: mrac.check(world, maps=9), "maps is for paper; leave it out"),
     "no value": (
         lambda world, plan: mrac.plots.left_figure(mrac.evaluate(world, rollouts=64, advice=False)),
         "the evaluation has no left.png; expected a world with values: `value:` in its scenario, or load(..., value=",
@@ -280,7 +316,7 @@ def test_what_a_person_prints_fits_a_screen() -> None:
     assert "B (2 robots) visits" in repr(other)
 
 
-@pytest.mark.parametrize("ask", [mrac.plan, mrac.front, mrac.starts, mrac.clear, mrac.attack])
+@pytest.mark.parametrize("ask", [mrac.plan, mrac.front, mrac.starts, partial(mrac.threats, add=1)])
 def test_a_range_reaches_the_settings(ask: Callable[..., Any]) -> None:
     with pytest.raises(mrac.InputError, match="range is -1"):
         ask(mrac.World.create([[0.0, 0.1, 0.0]]), 1, range=-1)
@@ -322,8 +358,8 @@ def test_every_answer_is_a_data_frame(tmp_path: Path) -> None:
         (front, len(front.points), "coverage.ci95.low"),
         (size, len(size.points), "coverage.mean"),
         (mrac.starts(world, 1, rollouts=64), None, "coverage.mean"),
-        (mrac.clear(world, 2, rollouts=64), None, "known.ci95.high"),
-        (mrac.attack(world, 2, rollouts=64), None, "known.ci95.high"),
+        (mrac.threats(world, 2, remove=1, rollouts=64), None, "known.ci95.high"),
+        (mrac.threats(world, 2, add=1, rollouts=64), None, "known.ci95.high"),
         (mrac.check(world, 2, rollouts=64), None, "formula"),
         (compared, None, "figure"),
         (swept, 2, "visited.mean"),

@@ -505,7 +505,7 @@ def test_a_plan_file_is_driven_by_itself_where_its_map_is(
 
 def outlooked(seed: int = 3, steps: int = 12) -> tuple[World, Plan, DrivenMission]:
     world, plan = small_case(seed)
-    mission = mrac.mission(world, plan)
+    mission = mrac.drive(world, plan)
     for _ in range(steps):
         obey(mission)
     return world, plan, mission
@@ -544,7 +544,7 @@ def test_what_if_is_on_common_luck() -> None:
 
 def test_who_is_called_off_before_setting_out_is_home() -> None:
     world = random_world(8, 9, ThreatPattern("contiguous", areas=3, seed=1), obstacles=0.2, threats=0.3)
-    mission = mrac.mission(world, mrac.plan(world, starts=place_starts(world, 3)[0], return_to="home"))
+    mission = mrac.drive(world, mrac.plan(world, starts=place_starts(world, 3)[0], return_to="home"))
     off = mission.what_if(call_off=True, rollouts=512)
     assert off.then.home is not None and off.then.home.mean == 3 and off.then.lost.mean == 0
     assert off.now.home is not None and off.now.home.mean < 3
@@ -556,9 +556,9 @@ def test_what_has_no_outlook_says_so() -> None:
         mission.outlook(rollouts=0)
     with pytest.raises(StateError, match="robot 7"):
         mission.what_if(without=[7])
-    there = mrac.with_hazard(world, "persistent", np.nan_to_num(world.threat), 0.9)
+    there = world.with_latent_hazard("persistent", np.nan_to_num(world.threat), 0.9)
     with pytest.raises(WorldError):
-        mrac.mission(there, mrac.plan(there, starts=plan.starts)).outlook()
+        mrac.drive(there, mrac.plan(there, starts=plan.starts)).outlook()
     while mission.outcome is None:
         mission.report(0, stopped=True)
         mission.report(1, stopped=True)

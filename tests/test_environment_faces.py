@@ -46,7 +46,7 @@ def test_pettingzoo_conforms() -> None:
 def test_gymnasium_conforms() -> None:
     from gymnasium.utils.env_checker import check_env
 
-    import mrac_jax.environment.gymnasium_env as registered
+    import mrac_jax.env.gymnasium_env as registered
 
     one = gymnasium.make(registered.ID, world=world(), robots=ROBOTS, max_steps=STEPS, render_mode="rgb_array")
     with warnings.catch_warnings():

@@ -18,8 +18,8 @@ import mrac_jax as mrac
 from analysis.policy_evaluation.policy_evaluation import roll_policy
 from analysis.sampling import RolloutChoices, make_singles
 from mrac_jax.arrays import tolerance_words
-from mrac_jax.environment.area_env import COLUMNS, AreaEnv
-from mrac_jax.environment.coverage_env import ACTIONS, AT_ONCE, PLANES, CoverageEnv, State
+from mrac_jax.env.area_env import COLUMNS, AreaEnv
+from mrac_jax.env.coverage_env import ACTIONS, AT_ONCE, PLANES, CoverageEnv, State
 from planner.errors import InputError
 from planner.failure_model import exposure_of, tolerances
 from planner.make_plan import make_plan
@@ -415,7 +415,7 @@ def test_pettingzoo_and_gymnasium_conform() -> None:
     from gymnasium.utils.env_checker import check_env
     from pettingzoo.test import parallel_api_test, parallel_seed_test
 
-    from mrac_jax.environment.gymnasium_env import ID
+    from mrac_jax.env.gymnasium_env import ID
 
     def make(**more: Any) -> Any:
         return mrac.env(world(), 3, actions="areas", render_mode="rgb_array", **more)

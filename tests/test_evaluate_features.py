@@ -56,7 +56,7 @@ QUIET = {"advice": False, "band": False, "rollouts": 4096, "engine": "numba"}
 
 
 def test_the_open_loop_is_exact_on_each_map() -> None:
-    world = mrac.with_maps(BASE, MAPS)
+    world = BASE.with_maps(MAPS)
     plan = mrac.plan(world, 2)
     answer = mrac.evaluate(world, plan, loop="open", **QUIET)
     said = json.loads(json.dumps(answer.to_json()))
@@ -94,10 +94,10 @@ def doubtful(kind: str) -> tuple[World, tuple[float, float]]:
     """ROW in doubt, and its parts of variance, known without sampling."""
     if kind == "antithetic":  # every second map is without its first danger
         first = np.float32(0.9) * (np.arange(128) % 2)
-        return mrac.with_maps(ROW, [[[0, p, 0, 0.3, 0, 0]] for p in first]), parts_of(first, np.full(128, 0.3))
+        return ROW.with_maps([[[0, p, 0, 0.3, 0, 0]] for p in first]), parts_of(first, np.full(128, 0.3))
     if kind == "alike":
-        return mrac.with_maps(ROW, [ROW.threat] * 100), parts_of(*np.array([[0.1], [0.3]]))
-    world = mrac.with_spread(ROW, "lognormal", 0.8, kind)
+        return ROW.with_maps([ROW.threat] * 100), parts_of(*np.array([[0.1], [0.3]]))
+    world = ROW.with_spread("lognormal", 0.8, kind)
     first, second = (world.doubt.chances[:, world.doubt.column[0, cell]] for cell in (1, 3))
     pairs = (first, second) if kind == "common" else (np.repeat(first, 256), np.tile(second, 256))
     return world, parts_of(*pairs)
@@ -147,7 +147,7 @@ def test_the_maps_means_scatter_as_the_maps_do() -> None:
 def test_what_is_not_known_is_null_and_said(capsys: pytest.CaptureFixture[str]) -> None:
     from rich.console import Console
 
-    mines = mrac.with_hazard(BASE, "consumed", np.nan_to_num(BASE.threat), 0.9)
+    mines = BASE.with_latent_hazard("consumed", np.nan_to_num(BASE.threat), 0.9)
     answer = mrac.evaluate(mines, 2, loop="open", **QUIET)
     said = answer.to_json()
     assert set(said["exact"]["open_loop"].values()) == {None}
@@ -161,25 +161,25 @@ def test_what_is_not_known_is_null_and_said(capsys: pytest.CaptureFixture[str]) 
 
 @pytest.mark.parametrize("refused", ["check", "size", "starts", "clear", "threat_scale"])
 def test_what_presumes_one_known_map_is_refused(refused: str) -> None:
-    world = mrac.with_spread(BASE, "lognormal", 0.3)
+    world = BASE.with_spread("lognormal", 0.3)
     ask = {
         "check": lambda: mrac.check(world, 1),
         "size": lambda: mrac.size(world, target=0.5),
         "starts": lambda: mrac.starts(world, 1),
-        "clear": lambda: mrac.clear(world, 1),
+        "clear": lambda: mrac.threats(world, 1, remove=1),
         "threat_scale": lambda: mrac.evaluate(world, 1, threat_scale=[2.0], **QUIET),
     }
     with pytest.raises(InputError, match="one known map"):
         ask[refused]()
 
 
-@pytest.mark.parametrize("asked", [{"metrics": "search"}, {"threat_scale": [2.0]}, {}])
+@pytest.mark.parametrize("asked", [{"value": True}, {"threat_scale": [2.0]}, {}])
 def test_what_is_refused_is_refused_before_anything_is_planned(asked: dict, monkeypatch: pytest.MonkeyPatch) -> None:
     def plan(*given: object, **more: object) -> None:
         raise AssertionError("planned")
 
     monkeypatch.setattr("analysis.api.plan_team", plan)
-    world = mrac.with_spread(BASE, "lognormal", 0.3)
+    world = BASE.with_spread("lognormal", 0.3)
     world = world if asked else world.with_values(2.0)
     with pytest.raises(InputError, match="one known map"):
         mrac.evaluate(world, 1, **asked, **QUIET)
@@ -188,7 +188,7 @@ def test_what_is_refused_is_refused_before_anything_is_planned(asked: dict, monk
 # What the map is worth to robots that are not told it: told, learning and blind teams on the same luck.
 
 TOLD = random_world(10, 10, ThreatPattern(seed=3)).with_starts([[0, 0], [0, 1]])
-DARK = mrac.with_prior(TOLD, 0.04, "known", sense=2)
+DARK = TOLD.with_prior_map(0.04, "known", sensor_range=2)
 COUNT, SENSED = 600, (0, 1, 3)
 
 
@@ -206,7 +206,7 @@ def test_each_team_is_what_it_is_by_itself(answer: Evaluation) -> None:
     assert isinstance(found, Knowledge) and [team.range for team in found.teams] == [0, 1, 2, 3, inf]
     cells, alone = answer.cells["accessible"], {}
     for team in found.teams:
-        world = mrac.with_sense(DARK, team.range)
+        world = DARK.with_sensor_range(team.range)
         alone[team.range] = visited(world, mrac.plan(world), COUNT) / cells
         assert team.coverage.mean == pytest.approx(alone[team.range].mean(), abs=1e-12)
     assert found.learning.coverage.mean == answer.visited.mean
@@ -224,15 +224,15 @@ def test_each_team_is_what_it_is_by_itself(answer: Evaluation) -> None:
 
 
 def test_one_robot_that_learns_may_take_longer_than_its_plan() -> None:
-    world = mrac.with_prior(TOLD.with_starts([[0, 0]]), 0.04, sense=1)
+    world = TOLD.with_starts([[0, 0]]).with_prior_map(0.04, sensor_range=1)
     plan = mrac.plan(world)
     longest = make_engine(plan, world, Rolling("closed")).results(0, COUNT).time.max()
     assert plan.time < longest <= longest_run(world, plan, "closed")
 
 
 def test_what_one_robot_that_learns_covers_is_not_its_plan_s() -> None:
-    world = mrac.with_prior(TOLD.with_starts([[0, 0]]), 0.04, sense=1)
-    plan, blind = mrac.plan(world), mrac.with_sense(DARK.with_starts([[0, 0]]), 0)
+    world = TOLD.with_starts([[0, 0]]).with_prior_map(0.04, sensor_range=1)
+    plan, blind = mrac.plan(world), DARK.with_starts([[0, 0]]).with_sensor_range(0)
     found = mrac.evaluate(world, plan, exact="never", rollouts=COUNT, advice=False, band=False)
     assert found.exact.visited is None and found.exact.time is None
     assert found.visited.mean * found.visited.covered.cells == pytest.approx(visited(world, plan, COUNT).mean())
@@ -246,7 +246,7 @@ def test_what_one_robot_that_learns_covers_is_not_its_plan_s() -> None:
 
 @pytest.mark.usefixtures("one_picture")
 def test_a_start_that_is_falsely_believed_an_obstacle(tmp_path: Path) -> None:
-    world = mrac.with_truth(mrac.load(np.array([[np.nan, 0, 0], [0, 0.2, 0]])), np.array([[0, 0, 0], [0, 0.2, 0]]), 1)
+    world = mrac.load(np.array([[np.nan, 0, 0], [0, 0.2, 0]])).with_true_map(np.array([[0, 0, 0], [0, 0.2, 0]]), 1)
     world = world.with_starts([[0, 0]])
     world.save(tmp_path / "a.npz")
     again = mrac.load(tmp_path / "a.npz")
@@ -263,7 +263,7 @@ def test_small_teams_are_known_exactly() -> None:
     found = mrac.evaluate(DARK, rollouts=2000, advice=False, band=False).outputs["knowledge"]
     assert isinstance(found, Knowledge) and found.behind == "exact" and found.blind is not None
     worth, cells = found.learning.ahead(found.blind), found.told.found.largest("visited")
-    blind = mrac.with_sense(DARK, 0)
+    blind = DARK.with_sensor_range(0)
     sampled = [visited(world, mrac.plan(world), 20_000) / cells for world in (DARK, blind)]
     assert worth.half_width == 0
     assert abs(worth.mean - (sampled[0] - sampled[1]).mean()) < 5 * (sampled[0] - sampled[1]).std() / 20_000**0.5
@@ -272,7 +272,7 @@ def test_small_teams_are_known_exactly() -> None:
 def test_where_the_map_is_drawn_who_is_told_plans_on_each() -> None:
     threat = np.nan_to_num(TOLD.threat)
     maps = [np.where(TOLD.free, np.clip(threat * scale, 0, 0.9), np.nan) for scale in (0.1, 3.0)]
-    world = mrac.with_sense(mrac.with_maps(TOLD, maps), 1)
+    world = TOLD.with_maps(maps).with_sensor_range(1)
     found = mrac.evaluate(world, rollouts=COUNT, advice=False, band=False).outputs["knowledge"]
     assert isinstance(found, Knowledge)
     rows, by_map = rows_met(world.doubt, 0, np.arange(COUNT))[:, 0], []  # type: ignore[arg-type]
@@ -287,7 +287,7 @@ def test_who_sees_everything_of_a_drawn_map_is_not_who_is_told_it() -> None:
     """He plans before the first look: the figures of the team are those of the evaluation, not of another plan."""
     threat = np.nan_to_num(TOLD.threat)
     maps = [np.where(TOLD.free, one, np.nan) for one in (threat, threat[::-1])]
-    answer = mrac.evaluate(mrac.with_sense(mrac.with_maps(TOLD, maps), inf), rollouts=COUNT, advice=False, band=False)
+    answer = mrac.evaluate(TOLD.with_maps(maps).with_sensor_range(inf), rollouts=COUNT, advice=False, band=False)
     found = answer.outputs["knowledge"]
     assert isinstance(found, Knowledge) and [team.range for team in found.teams] == [0, inf, inf]
     assert found.learning is not found.told
@@ -298,7 +298,7 @@ def test_who_sees_everything_of_a_drawn_map_is_not_who_is_told_it() -> None:
 def test_of_many_maps_the_first_ones_are_planned_on() -> None:
     threat = np.nan_to_num(TOLD.threat)
     maps = [np.where(TOLD.free, threat * (0.5 + number / 200), np.nan) for number in range(MOST_MAPS + 30)]
-    world = mrac.with_sense(mrac.with_maps(TOLD, maps), 1)
+    world = TOLD.with_maps(maps).with_sensor_range(1)
     found = mrac.evaluate(world, rollouts=300, advice=False, band=False).outputs["knowledge"]
     assert isinstance(found, Knowledge)
     rows = rows_met(world.doubt, 0, np.arange(300))[:, 0]  # type: ignore[arg-type]
@@ -321,7 +321,7 @@ def test_fog_is_what_nobody_has_seen(answer: Evaluation) -> None:
                     if hypot(cell // 10 - row, cell % 10 - col) <= 2:
                         expected[cell] = step
         assert run.seen is not None and (run.seen == expected).all()
-    for world, loop in ((mrac.with_sense(DARK, 0), "closed"), (DARK, "open")):  # nobody looks, and nothing is dark
+    for world, loop in ((DARK.with_sensor_range(0), "closed"), (DARK, "open")):  # nobody looks, and nothing is dark
         choices = RolloutChoices(loop=loop, rollouts=20)
         found, note = runs(world, mrac.plan(world), choices, 20, False)
         assert [run.seen for run in found] == [None] * 4 and "Dark" not in note
@@ -354,7 +354,7 @@ def test_no_range_is_no_list_of_ranges() -> None:
     [
         (TOLD, (1,), "the map is known"),
         (DARK, (0.5,), "0, or a number of cells from 1 on"),
-        (mrac.with_prior(TOLD, 0.04, sense=2), (0,), "wrong about an obstacle"),
+        (TOLD.with_prior_map(0.04, sensor_range=2), (0,), "wrong about an obstacle"),
     ],
 )
 def test_what_cannot_be_sensed_is_said(world: World, sensor_range: tuple[float, ...], words: str) -> None:
@@ -370,18 +370,18 @@ QUIET_EXPERIENCE = {"advice": False, "band": False, "engine": "numba"}
 
 
 def test_three_teams_on_the_same_luck_and_what_is_known_in_the_end(tmp_path):
-    world = mrac.with_hazard(SITE, "persistent", Q, 0.5, learn=True)
+    world = SITE.with_latent_hazard("persistent", Q, 0.5, learn=True)
     answer = mrac.evaluate(world, 2, rollouts=300, seed=4, **QUIET_EXPERIENCE)
     found = answer.outputs["experience"]
     said = json.loads(json.dumps(answer.to_json()))["experience"]
-    blind = mrac.evaluate(mrac.with_hazard(SITE, "persistent", Q, 0.5), 2, rollouts=300, seed=4, **QUIET_EXPERIENCE)
+    blind = mrac.evaluate(SITE.with_latent_hazard("persistent", Q, 0.5), 2, rollouts=300, seed=4, **QUIET_EXPERIENCE)
     assert (found.blind.tally.visited == blind.tally.visited).all()
     assert (found.learning.tally.visited == answer.tally.visited).all()
     ahead = found.learning.column("visited") - found.blind.column("visited")
     np.testing.assert_allclose(said["worth_of_learning"]["mean"], ahead.mean() / answer.tally.accessible)
     # a rollout of the told ones, by hand: its own map, planned for and rolled out
     there = hazards_met(world.doubt, 4, [7])[0].reshape(SITE.shape)
-    told = mrac.with_hazard(SITE, "persistent", np.where(there, 1.0, 0.0), 0.5)
+    told = SITE.with_latent_hazard("persistent", np.where(there, 1.0, 0.0), 0.5)
     run = PythonLoop(mrac.plan(told, starts=answer.plan.starts), told).run(4, 7)
     assert found.told.column("visited")[7] == run.visited.sum()
     assert (said["maps"], said["rollouts"], said["posterior"]["rollouts"]) == (128, 300, 256)
@@ -399,7 +399,7 @@ def test_three_teams_on_the_same_luck_and_what_is_known_in_the_end(tmp_path):
 
 def test_sure_stops_are_told_too_and_consumed_ones_vanish():
     for kind in ("persistent", "consumed"):
-        world = mrac.with_hazard(SITE, kind, Q, 1.0, learn=True)
+        world = SITE.with_latent_hazard(kind, Q, 1.0, learn=True)
         plan = mrac.plan(world, 2)
         told = told_of_hazards(world, plan, mrac.evaluate(world, plan, rollouts=50, **QUIET_EXPERIENCE).choices, 20)
         assert told.rollouts == 20
@@ -407,7 +407,7 @@ def test_sure_stops_are_told_too_and_consumed_ones_vanish():
 
 
 def test_who_has_nothing_to_learn_is_told_and_blind_alike():
-    world = mrac.with_hazard(SITE, "persistent", np.where(Q > 0.3, 1.0, 0.0), 0.4, learn=True)
+    world = SITE.with_latent_hazard("persistent", np.where(Q > 0.3, 1.0, 0.0), 0.4, learn=True)
     found = mrac.evaluate(world, 2, rollouts=64, **QUIET_EXPERIENCE).outputs["experience"]
     for other in (found.told, found.blind):
         assert (other.column("visited") == found.learning.column("visited")).all()
@@ -416,8 +416,8 @@ def test_who_has_nothing_to_learn_is_told_and_blind_alike():
 
 def test_who_hears_nothing_may_take_what_the_plan_left_out():
     q = np.array([[0, 0, 0], [0, 0, 0.5]])
-    world = mrac.with_hazard(mrac.load(np.zeros((2, 3))), "persistent", q, 0.5, learn=True)
-    world = mrac.with_sense(world, {"range": 2, "detect": 0.9, "false_alarm": 0.1})
+    world = mrac.load(np.zeros((2, 3))).with_latent_hazard("persistent", q, 0.5, learn=True)
+    world = world.with_sensor_range({"range": 2, "detect": 0.9, "false_alarm": 0.1})
     plan = mrac.plan(world, starts=[[0, 0]], policy="per_cell", robot_value=20)
     assert is_certain(world, plan, "open") and not is_certain(world, plan)
     answer = mrac.evaluate(world, plan, rollouts=300, **QUIET_EXPERIENCE)
@@ -428,7 +428,7 @@ def test_who_hears_nothing_may_take_what_the_plan_left_out():
 def test_others_have_no_such_figure():
     with pytest.raises(UsageError, match="learn about hazards"):
         mrac.evaluate(SITE, 2, rollouts=10, experience=True, **QUIET_EXPERIENCE)
-    world = mrac.with_hazard(SITE, "persistent", Q, 0.5, learn=True)
+    world = SITE.with_latent_hazard("persistent", Q, 0.5, learn=True)
     answer = mrac.evaluate(world, 2, rollouts=10, loop="open", **QUIET_EXPERIENCE)
     assert "experience" not in answer.outputs
     assert "learning is worth" not in report(answer).headline
@@ -440,9 +440,9 @@ PRESUME_THREATS_THAT_STAY: list[Callable[[World], Any]] = [
     lambda world: mrac.check(world, 2),
     lambda world: mrac.size(world, target=0.9),
     lambda world: mrac.starts(world, robots=2),
-    lambda world: mrac.clear(world, robots=2),
+    lambda world: mrac.threats(world, remove=1, robots=2),
     lambda world: mrac.evaluate(world, 2, threat_scale=(0.5,)),
-    lambda world: mrac.mission(world, 2).outlook(),
+    lambda world: mrac.drive(world, 2).outlook(),
 ]
 """What refuses threats over time."""
 
@@ -460,7 +460,7 @@ def notes_of(answer: Any) -> list[str]:
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    return mrac.with_movers(GROUND, MOVERS)
+    return GROUND.with_moving_threats(MOVERS)
 
 
 def test_one_robot_is_known_exactly_and_rollouts_agree(world: World) -> None:
@@ -476,7 +476,7 @@ def test_one_robot_is_known_exactly_and_rollouts_agree(world: World) -> None:
 
 def test_a_robot_that_waits_before_it_gives_up_is_still_met() -> None:
     """On three cells, by hand: at steps 0 to 3 a walker that meets it with chance 1/2 has taken .65625 of it."""
-    world = mrac.with_movers(mrac.load([[0, 0, 0]]), [{"walk": 0.0, "h": 0.5, "start": "anywhere"}], plan_on="own")
+    world = mrac.load([[0, 0, 0]]).with_moving_threats([{"walk": 0.0, "h": 0.5, "start": "anywhere"}], plan_on="own")
     plan = mrac.plan(world, 1, starts=[[0, 0]], range=1)
     assert (plan.makespan, plan.time) == (1, 3)
     answer = mrac.evaluate(world, plan, rollouts=20_000, seed=1, advice=False)
@@ -583,7 +583,7 @@ NIGHT = np.array([[0, 0.3, 0, 0, 0], [0, 0, np.nan, 0.3, 0], [0, 0, 0, 0.3, 0]])
 
 @pytest.fixture(scope="module")
 def world_phases() -> World:
-    return mrac.with_phases(World.create(DAY), [(3, NIGHT), (6, DAY)])
+    return World.create(DAY).with_phases([(3, NIGHT), (6, DAY)])
 
 
 def test_teams_are_known_exactly_and_rollouts_agree(world_phases: World) -> None:
@@ -650,7 +650,7 @@ def test_a_recording_shows_the_areas_of_robots_that_learn_about_hazards(tmp_path
     """They make areas that no event announces."""
     ground = random_world(8, 8, ThreatPattern("scattered", 4, (0.04, 0.12, 0.2), 1), obstacles=0.2, threats=0.4)
     q = np.where(np.nan_to_num(ground.threat) > 0, 0.3, 0.0)
-    mrac.record(mrac.with_hazard(ground, "persistent", q, 0.5, learn=True), 3, tmp_path / "a.mcap", ids=[0, 1])
+    mrac.record(ground.with_latent_hazard("persistent", q, 0.5, learn=True), 3, tmp_path / "a.mcap", ids=[0, 1])
     assert len(decoded(tmp_path / "a.mcap")["/areas"]) > 2
 
 

@@ -230,9 +230,9 @@ def test_the_last_move_is_told_only_where_nobody_waits_for_news() -> None:
     world, later = mrac.load([[0, 0.1, 0, 0.9, 0]]), np.array([[0, 0.1, 0, 0.95, 0]])
     for asked, said in (
         (world, "the last move is at step 2"),
-        (mrac.with_phases(world, [(50, later)], plan_on="first"), "the last move is at step 2"),
-        (mrac.with_phases(world, [(50, later)]), "a run takes 46 steps"),
-        (mrac.with_phases(world, [(9, later)]), "a run takes 9 steps"),
+        (world.with_phases([(50, later)], plan_on="first"), "the last move is at step 2"),
+        (world.with_phases([(50, later)]), "a run takes 46 steps"),
+        (world.with_phases([(9, later)]), "a run takes 9 steps"),
     ):
         answer = mrac.evaluate(asked, mrac.plan(asked, 1, policy="per_cell", robot_value=4), rollouts=64, advice=False)
         assert chances_words(answer) == f"Every accessible cell is visited in no run; {said} on average."

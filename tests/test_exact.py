@@ -231,7 +231,7 @@ def test_check_and_record_do_not_fail(maps: dict[str, str], capsys: pytest.Captu
     out = tmp_path / "run.mcap"
     assert run(["record", maps["safe"], "--robots", "2", "--pick", "worst,best", "--out", str(out)]) == 0
     assert "1 rollout evaluated" in capsys.readouterr().out
-    assert run(["replay", str(out), "--all"]) == 0
+    assert run(["inspect", str(out), "--replay", "--all"]) == 0
 
 
 def test_scaled_worlds_are_judged_by_their_own_threats() -> None:
@@ -379,7 +379,7 @@ def test_a_robot_that_waits_before_it_gives_up_has_no_exact_time() -> None:
 def test_what_is_not_known_of_the_closed_loop_is_null() -> None:
     """A team under hazards, and one on maps in doubt: the open loop's values have a name of their own."""
     q = np.where(np.nan_to_num(WORLD.threat) > 0, 0.5, 0.0)
-    for world in (mrac.with_hazard(WORLD, "persistent", q, 0.5), mrac.with_maps(WORLD, [WORLD.threat, WORLD.threat])):
+    for world in (WORLD.with_latent_hazard("persistent", q, 0.5), WORLD.with_maps([WORLD.threat, WORLD.threat])):
         said = mrac.evaluate(world, mrac.plan(world, starts=STARTS), rollouts=256, **QUIET).to_json()
         assert said["exact"]["alive"] is said["exact"]["time"] is said["losses"]["exact"] is None
         assert said["exact"]["closed_loop"] is None

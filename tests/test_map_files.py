@@ -652,7 +652,11 @@ def test_logs_that_are_refused(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     for size in (0, 7, 8, 40, len(data) // 2, len(data) - 9):
         (tmp_path / "a.mcap").write_bytes(data[:size])
-        words = r"is empty|cannot be read as MCAP" if size < 8 else r"truncated.*try `mrac-jax recover .*/a\.mcap`"
+        words = (
+            r"is empty|cannot be read as MCAP"
+            if size < 8
+            else r"truncated.*try `mrac-jax inspect --repair OUT .*/a\.mcap`"
+        )
         with pytest.raises(MapError, match=words):
             load_input(tmp_path / "a.mcap")
     for _ in range(60):  # damage anywhere: an error in one line, or a map
@@ -797,7 +801,9 @@ def test_a_cut_log_names_what_saves_its_maps(tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: len(data) // 2])
     for read in (load_input, lambda path: read_state(path, World.create(np.zeros((3, 4))), [[1, 1]]), inspect):
-        with pytest.raises(InputError, match=r"truncated or damaged: .*; try `mrac-jax recover .*/cut\.mcap`"):
+        with pytest.raises(
+            InputError, match=r"truncated or damaged: .*; try `mrac-jax inspect --repair OUT .*/cut\.mcap`"
+        ):
             read(cut)
     recover(cut, tmp_path / "new.mcap")
     assert obstacle(load_input(tmp_path / "new.mcap")) == [[2, 0]]

@@ -23,7 +23,7 @@ from test_failure_sampling import KNOWN
 from analysis.policy_evaluation.policy_evaluation import roll_policy
 from mrac_jax import runtime as accelerators
 from mrac_jax.arrays import threefry2x32 as jax_threefry
-from mrac_jax.environment.coverage_env import CoverageEnv
+from mrac_jax.env.coverage_env import CoverageEnv
 from mrac_jax.open_loop import JaxOpenLoop, advance, jitted, pad_tables, size_bucket
 from planner.errors import PlanError, UsageError
 from planner.failure_model import exposure_of, key_of, least_word

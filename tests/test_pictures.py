@@ -485,9 +485,9 @@ def answers(world: mrac.World) -> dict[str, Any]:
     """What each figure is of."""
     evaluated = mrac.evaluate(world.with_values(np.ones((4, 6)), None), 2, rollouts=300)
     return dict.fromkeys(mrac.plots.__all__, evaluated) | {
-        "attack_figure": mrac.attack(world, 1, rollouts=256),
+        "attack_figure": mrac.threats(world, 1, add=1, rollouts=256),
         "check_figure": mrac.check(world, 2, rollouts=300),
-        "clear_figure": mrac.clear(world, 2, rollouts=256),
+        "clear_figure": mrac.threats(world, 2, remove=1, rollouts=256),
         "front_figure": mrac.front(world, 2, rollouts=256),
         "size_figure": mrac.size(world, target=0.5, most=2, rollouts=256),
         "starts_figure": mrac.starts(world, 1, rollouts=256),

@@ -23,7 +23,7 @@ from validate import validate
 import mrac_jax as mrac
 import planner.plan.plan_file
 from analysis.cli.app import run
-from analysis.cli.options import Planning, PlanningToTheEnd, Second
+from analysis.cli.options import COMMANDS, Given
 from analysis.comparison import compare, make_side
 from analysis.evaluation.evaluate import evaluate
 from analysis.recording.container import open_log
@@ -35,14 +35,13 @@ from analysis.sweeps.results import outcomes_of, select
 from analysis.sweeps.spec import PLANNER
 from analysis.sweeps.store import Store
 from planner.arguments import COMMAND_LINE
-from planner.errors import InputError, MapError, PlanError, UsageError
+from planner.errors import InputError, MapError, PlanError, RenamedWarning, UsageError
 from planner.files import LONG_BYTES, read_csv_grid
 from planner.formatting import UNITS, UNPACED, Pace, seconds_of
 from planner.make_plan import confirm_plan, make_plan
 from planner.plan.plan import Area, Leg, Plan, RobotPlan, headings, waypoints_csv
 from planner.plan.plan_file import count_shares
 from planner.plan_team import plan_team, read_plan
-from planner.renamed import RenamedWarning
 from planner.settings import SETTINGS, Choices, Settings
 from planner.simulator.codes import Outcome
 from planner.world.changing_maps import with_phases
@@ -552,7 +551,7 @@ def test_plan_record_and_export_take_it_and_their_paths_end_there(
     assert told["outcome"] == "deadline" and f"rollout 3 ends: deadline at step {ENDS}" in told["text"]
     assert json.loads(open_log(log).attachment("tally.json"))["outcomes"]["deadline"] == 1
     assert next(read_rollouts(log)).trace.outcome is Outcome.STEP_LIMIT
-    assert run(["replay", str(log)]) == 0
+    assert run(["inspect", str(log), "--replay"]) == 0
     capsys.readouterr()
     assert run(["export", WORLD_DEADLINE, "--plan", str(made), "--out", str(out)]) == 0
     longest = max(len(robot["path"]) for robot in json.loads(made.read_text())["robots"])
@@ -694,11 +693,13 @@ def test_everything_that_speaks_of_settings_follows_from_the_table() -> None:
     assert set(SETTINGS) == {field.name for field in fields(Settings)} == set(OTHER) == set(WRONG)
     found = {name for name, setting in SETTINGS.items() if setting.found}
     assert set(SETTINGS) <= {field.name for field in fields(Choices)}
-    for group, without in ((PlanningToTheEnd, found), (Planning, found | {"deadline"}), (Second, found | {"deadline"})):
-        assert set(SETTINGS) - {field.name for field in fields(group)} == without
+    options = {one.name: set(one.options) for one in COMMANDS}
+    for command in ("plan", "record", "evaluate", "compare"):
+        assert set(SETTINGS) - options[command] == found
+    assert {f"b_{name}" for name in set(SETTINGS) - found - {"deadline"}} <= options["compare"]
     assert set(PLANNER) == set(SETTINGS)
     typed = {name: value for name, value in OTHER.items() if name not in found}
-    assert PlanningToTheEnd(**typed).choices().given() == typed
+    assert Given(typed).choices.given() == typed
     assert Settings(**Choices().given()) == Settings()
     assert len(Settings().shown()) == len(SETTINGS)
 

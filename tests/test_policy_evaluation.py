@@ -11,13 +11,10 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import policies_study
 import pytest
 from helpers import error_of, mostly_east
-
-import analysis.experiments.policies
-import mrac_jax as mrac
-from analysis.cli.app import run
-from analysis.experiments.policies import (
+from policies_study import (
     FRONT_TEAMS,
     KINDS,
     ON_LARGE,
@@ -29,7 +26,9 @@ from analysis.experiments.policies import (
     study_json,
     study_policies,
 )
-from analysis.experiments.policies import headline as study_headline
+from policies_study import headline as study_headline
+
+import mrac_jax as mrac
 from analysis.policy_evaluation.leaderboard import RANDOM, Played, Rolled, Standing
 from analysis.policy_evaluation.policy_evaluation import estimate_of, headline, roll_policy, scores_of
 from analysis.report.answer import print_report
@@ -39,7 +38,8 @@ from analysis.sweeps.engine import Finished
 from analysis.sweeps.store import Store
 from analysis.theory.upper_bound import any_strategy
 from analysis.utils.tables import as_text
-from mrac_jax.environment.coverage_env import ACTIONS, CoverageEnv
+from mrac_jax.env.coverage_env import ACTIONS, CoverageEnv
+from mrac_jax.env.suite import main as suite_main
 from planner.errors import UsageError
 from planner.make_plan import make_plan
 from planner.policies.rule import Rule
@@ -205,7 +205,7 @@ def test_what_is_wrong_is_said_in_a_line(
     Path("my.py").write_text(text)
     words = ["--only", "contiguous-10-05-k1", "--policy", "my.py", "--rollouts", "2", "--processes", "1"]
     kept = [word for place in range(0, len(words), 2) if words[place] not in more for word in words[place : place + 2]]
-    assert run(["suite", *kept, *more, "--out", "out"]) == 2
+    assert suite_main([*kept, *more, "--out", "out"]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
     assert len(lines) == 1 and said in lines[0] and not Path("out").exists()
 
@@ -323,7 +323,7 @@ def test_processes_change_no_figure() -> None:
 @pytest.mark.parametrize("kind", ["persistent", "consumed"])
 def test_hazards_are_those_of_plans(kind: str, tmp_path: Path) -> None:
     """Robots side by side in a corridor, so that a consumed hazard is gone for who comes after in the same step."""
-    world = mrac.with_hazard(CORRIDOR, kind, np.array([[0.0, 0.0, *[0.5] * 10]]), 0.4).with_starts([[0, 0]] * 3)
+    world = CORRIDOR.with_latent_hazard(kind, np.array([[0.0, 0.0, *[0.5] * 10]]), 0.4).with_starts([[0, 0]] * 3)
     (tmp_path / "paths.json").write_text(str([[[0, col] for col in range(12)]] * 3))
     plan = mrac.read_plan(tmp_path / "paths.json", world)
     choices = RolloutChoices(loop="open", rollouts=400, seed=3)
@@ -343,7 +343,7 @@ def test_what_is_for_plans_alone_is_refused_of_a_policy() -> None:
         mrac.evaluate(CORRIDOR, mrac.plan(CORRIDOR), policy=mostly_east)  # type: ignore[call-overload]
 
 
-# `mrac-jax reproduce policies`: the right maps, the same luck, what is worse, and its faces.
+# `python docs/examples/experiments.py policies`: the right maps, the same luck, what is worse, and its faces.
 
 FEW = (
     Setting("contiguous", 2), Setting("contiguous", 2, "per_cell", 0.25), Setting("contiguous", 2, cut=20),
@@ -354,7 +354,7 @@ FEW = (
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three settings, none on large maps, bounds of one team."""
-    room = analysis.experiments.policies
+    room = policies_study
     for name, value in {"SMALL": FEW, "ON_LARGE": (), "KINDS": ("contiguous",), "TEAMS": (2,)}.items():
         monkeypatch.setattr(room, name, value)
 
@@ -441,7 +441,7 @@ def test_its_faces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "What policies bring" in page
     alone = made_up(maps=1)
     assert json.loads(json.dumps(study_json(alone)))["points"][0]["visited"]["ci95"] is None
-    monkeypatch.setattr("analysis.experiments.policies.FRONT_TEAMS", FRONT_TEAMS[:1])
+    monkeypatch.setattr("policies_study.FRONT_TEAMS", FRONT_TEAMS[:1])
     assert alone.save(tmp_path / "alone")
 
 
@@ -450,4 +450,4 @@ def test_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
         study_policies(maps=0, rollouts=1)
     with pytest.raises(UsageError, match="seed=-1"):
         study_policies(maps=1, rollouts=1, seed=-1)
-    assert "expected fig4 or fig5 or fig6 or fig7 or all or policies" in error_of(capsys, "reproduce", "policy")
+    assert "reproduce policies: is now docs/examples/experiments.py" in error_of(capsys, "reproduce", "policies")

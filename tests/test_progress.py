@@ -24,6 +24,7 @@ import mrac_jax as mrac
 from analysis import api as api_evaluation
 from analysis import api as searches
 from analysis.cli.app import app, run
+from analysis.cli.options import COMMANDS
 from analysis.evaluation.evaluate import evaluate
 from analysis.sampling import RolloutChoices
 from analysis.utils import progress
@@ -33,7 +34,7 @@ from analysis.utils.notes import of_things
 from analysis.utils.progress import Announcer, Interrupted, ask
 from analysis.utils.tables import SafeConsole
 from planner.make_plan import make_plan
-from planner.settings import SETTINGS, Settings
+from planner.settings import Settings
 from planner.simulator import jit
 from planner.simulator.jit import NO_CACHE
 from planner.world.levels import place_starts
@@ -275,12 +276,12 @@ def jobs(folder: Path) -> dict[str, tuple[int, Callable[..., Any]]]:
         "size": (2, lambda **how: mrac.size(world, target=0.99, most=9, exact="never", **how)),
         "front": (3, lambda **how: mrac.front(world, 2, **how)),
         "starts": (2, lambda **how: mrac.starts(world, 1, **how)),
-        "clear": (2, lambda **how: mrac.clear(world, 2, **how)),
-        "attack": (2, lambda **how: mrac.attack(world, 2, **how)),
+        "remove": (2, lambda **how: mrac.threats(world, 2, remove=1, **how)),
+        "add": (2, lambda **how: mrac.threats(world, 2, add=1, **how)),
         "check": (2, lambda **how: mrac.check(world, plan, **how)),
         "record": (2, lambda **how: mrac.record(world, plan, folder / "a.mcap", ids=range(9), **how)),
         "sweep": (2, lambda **how: mrac.sweep(folder / "a.yaml", folder / "a.store", processes=1, **how)),
-        "reproduce": (2, lambda **how: mrac.reproduce("fig4", maps=5, rollouts=8, processes=1, **how)),
+        "paper": (2, lambda **how: mrac.check(paper="fig4", maps=5, rollouts=8, processes=1, **how)),
     }
 
 
@@ -376,55 +377,69 @@ def test_a_notebook_has_a_line_that_goes_away(monkeypatch: pytest.MonkeyPatch) -
     assert not seen
 
 
-OF_THE_WORLD = {"cell_size", "step_seconds", "speed", "turn", "sensor_range", "map"}
-"""Options that in Python are arguments of `load`, or of what makes another world."""
-OF_THE_ANSWER = {"out", "json", "theory", "csv", "plot", "picture", "animation", "plan_out", "scenario_out", "outlook"}
-"""Options that in Python are methods of the answer, or functions of it."""
-OF_THE_PLAN = {"robots", "starts", "state", "seconds", *SETTINGS} - {"priority"}
+FILES = {"out", "json", "csv", "plot", "picture", "animation", "plan_out", "scenario_out", "waypoints", "altitude",
+         "force", "state_at", "parquet", "merge", "figure", "store", "path"}  # fmt: skip
+"""Options that name files, or what stands in them: in Python methods of answers, plans and stores."""
+OF_THE_WORLD = set(inspect.signature(mrac.load).parameters) | {"sensor_range"}
+"""Options that in Python are arguments of `load`, or methods of `World`."""
+OF_THE_PLAN = set(inspect.signature(mrac.plan).parameters)
 """Options that in Python are arguments of `plan`, where a function takes a plan."""
-OTHERWISE = {
-    "compare": {"plan", "b.plan"},  # of the sides
-    "check": {"worlds", "kind", "size", "processes"},  # a survey of random worlds: of the command alone
-    "plan": {"waypoints", "altitude", "force"},  # of `export` and `Plan.save`
-    "front": {"force"},  # of `Plan.save`
-    "record": {"state_at"},
-    "results": {"figure", "parquet", "merge"},  # of a store's own methods
-    "suite": {"policy", "actions", "plans", "rollouts", "seed", "processes"},  # of `Suite.judge`
-}
-"""What else a command has that its function has otherwise."""
-FUNCTIONS = {"plan": "plan", "drive": "mission"} | {
-    name: name
-    for name in ("evaluate", "size", "front", "starts", "clear", "attack", "compare", "check", "export", "record",
-                 "sweep", "reproduce", "results", "suite")
-}  # fmt: skip
-OF_B = {"b.loop": "loop_b", "b.threat_checks": "first_visit_b"}
-ALONE = {"generate", "inspect", "recover", "replay", "studio"}
-"""Commands that have no function."""
 TAKE_A_PLAN = {"evaluate", "compare", "check", "export", "record", "drive"}
+OTHERWISE = {"evaluate": {"theory"}, "compare": {"plan"}, "drive": {"outlook"}}
+"""Other options that in Python are methods of the answer, or arguments of a side."""
+ALONE = {"inspect", "studio"}
+"""Commands that have no function."""
+OF_PYTHON = {
+    "world", "plan", "a", "b", "spec", "store", "path", "progress", "on_interrupt", "starts", "out", "policy", "band",
+    "asked", "force", "step_seconds", "speed", "altitude",
+}  # fmt: skip
+"""Arguments that a command has as INPUT, or that are about the call itself."""
 
 
 def options_of(command: str) -> set[str]:
     """The options of a command, as arguments of Python are named."""
     names = {name for one in app[command].assemble_argument_collection() for name in one.names}
-    return {
-        name[2:].replace("-", "_")
-        for name in names
-        if name.startswith("--") and not name.startswith(("--no-", "--empty-"))
-    }
+    names = {name for name in names if name.startswith("--") and not name.startswith(("--no-", "--empty-"))}
+    return {f"{name[4:]}_b" if name[:4] == "--b." else name[2:].replace("-", "_") for name in names} - {"plan_b"}
 
 
-def test_functions_take_every_option_of_their_commands() -> None:
-    commands = {name for name in app if not name.startswith("-")}
-    assert commands == set(FUNCTIONS) | ALONE
-    for command, function in FUNCTIONS.items():
-        taken = set(inspect.signature(getattr(mrac, function)).parameters)
-        has = taken | ({"threat_checks"} if "first_visit" in taken else set())
-        elsewhere = OF_THE_WORLD | OF_THE_ANSWER | set(OTHERWISE.get(command, ()))
+def options_and_arguments(command: str) -> tuple[set[str], set[str]]:
+    options = {name.replace("-", "_") for name in options_of(command)}
+    return options, set(inspect.signature(getattr(mrac, command)).parameters)
+
+
+def test_commands_and_functions_take_the_same_options() -> None:
+    assert {name for name in app if not name.startswith("-")} - ALONE <= set(mrac.__all__)
+    for command in sorted({name for name in app if not name.startswith("-")} - ALONE):
+        options, taken = options_and_arguments(command)
+        elsewhere = FILES | OF_THE_WORLD | OTHERWISE.get(command, set())
         elsewhere |= OF_THE_PLAN if command in TAKE_A_PLAN else set()
-        missing = options_of(command) - has - elsewhere
-        missing -= {f"b.{name}" for name in OF_THE_PLAN | OF_THE_WORLD}  # of the other side of `compare`
-        missing -= {option for option in missing if OF_B.get(option) in taken}
-        assert not missing, f"mrac.{function} lacks options of `mrac-jax {command}`"
+        sides = {f"{name}_b" for name in elsewhere | OF_THE_PLAN}
+        assert options - taken - elsewhere - sides == set(), f"mrac.{command} lacks options of `mrac-jax {command}`"
+        assert taken - options - OF_PYTHON == set(), f"`mrac-jax {command}` lacks arguments of mrac.{command}"
+
+
+def test_the_table_has_the_defaults_and_names_of_every_shared_option() -> None:
+    """Options have one statement, in `OPTIONS`; the signatures of functions have no other defaults."""
+    for command in COMMANDS:
+        for name, option in command.options.items():
+            assert option.help and option.help.endswith("."), (command.name, name)
+            if command.name in mrac.__all__ and name in (
+                found := inspect.signature(getattr(mrac, command.name)).parameters
+            ):
+                given = None if found[name].default is inspect.Parameter.empty else found[name].default
+                assert option.default in (None, given) or given is None, (command.name, name)
+
+
+def test_help_shows_fifteen_options_of_evaluate_and_all_of_them_on_demand(capsys: pytest.CaptureFixture[str]) -> None:
+    shown = {}
+    for flag in ("--help", "--help-all"):
+        assert run(["evaluate", flag]) == 0
+        said = capsys.readouterr().out
+        shown[flag] = set(re.findall(r"│ (?:\* )? *(--[a-z-]+)", said))
+        assert max(map(len, said.splitlines())) <= 110
+    assert len(shown["--help"]) == 15
+    assert {f"--{name.replace('_', '-')}" for name in options_of("evaluate")} == shown["--help-all"]
 
 
 def test_searches_pass_every_option_on(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -438,21 +453,19 @@ def test_searches_pass_every_option_on(monkeypatch: pytest.MonkeyPatch) -> None:
         "rollouts": 77,
         "seed": 5,
         "deadline": 300,
-        "first_visit": False,
+        "threat_checks": "every_visit",
         "engine": "numba",
         "exact": "never",
     }
     rooms = {
         "starts": "start_positions",
-        "clear": "threats",
-        "attack": "threats",
+        "threats": "threats",
         "front": "pareto",
         "size": "team_size",
     }
     finders = {
         "starts": "find_starts",
-        "clear": "find_clearing",
-        "attack": "find_attack",
+        "threats": "find_attack",
         "front": "find_front",
         "size": "find_size",
     }
@@ -465,6 +478,7 @@ def test_searches_pass_every_option_on(monkeypatch: pytest.MonkeyPatch) -> None:
 
         monkeypatch.setattr(f"analysis.search.{room}.{finders[name]}", find)
         asked = settings | ({} if name == "front" else policy) | ({"target": 0.5} if name in ("size", "front") else {})
+        asked |= {"add": 1} if name == "threats" else {}
         getattr(mrac, name)(world, **({} if name == "size" else {"robots": 2}), **asked, **rolled, progress=False)
         (made,) = [one for one in seen if isinstance(one, mrac.Settings)]
         (choices,) = [one for one in seen if isinstance(one, RolloutChoices)]
@@ -485,7 +499,7 @@ SAVED = {
     "plan": lambda world, file, **how: mrac.plan(world, 2).save(file / "p.json", **how),
     "world": lambda world, file, **how: world.save(file / "w.npz", **how),
     "state": lambda world, file, **how: state_of(world).save(file / "s.json", **how),
-    "mission": lambda world, file, **how: mrac.mission(world, 2).save(file / "m.json", **how),
+    "mission": lambda world, file, **how: mrac.drive(world, 2).save(file / "m.json", **how),
     "answer": lambda world, file, **how: mrac.check(world, 1, rollouts=64, progress=False).save(file / "a", **how),
     "comparison": lambda world, file, **how: mrac.compare((world, 1), (world, 2), rollouts=64, progress=False).save(
         file / "c", **how
@@ -497,7 +511,7 @@ SAVED = {
 
 
 def state_of(world: mrac.World) -> Any:
-    mission = mrac.mission(world, 2)
+    mission = mrac.drive(world, 2)
     mission.advance()
     return mission.state
 
@@ -520,14 +534,14 @@ def test_nothing_is_replaced_unasked(name: str, tmp_path: Path) -> None:
 
 def test_a_mission_replaces_its_own_file(tmp_path: Path) -> None:
     world, file = small_world(), tmp_path / "now.json"
-    mission = mrac.mission(world, 2)
+    mission = mrac.drive(world, 2)
     for _ in range(2):
         mission.save(file)
         mission.advance()
-    again = mrac.mission(world, 2, state=file)
+    again = mrac.drive(world, 2, state=file)
     again.save(file)
     with pytest.raises(mrac.InputError, match="is there already"):
-        mrac.mission(world, 2).save(file)
+        mrac.drive(world, 2).save(file)
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,7 @@ def test_record_replay_inspect(tmp_path: Path, capsys: pytest.CaptureFixture[str
     ]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.layout.json", "run.mcap"]
     assert json.loads((tmp_path / "run.layout.json").read_text())
-    assert run(["replay", str(out), "--all"]) == 0
+    assert run(["inspect", str(out), "--replay", "--all"]) == 0
     assert "identical" in capsys.readouterr().out
     assert run(["inspect", str(out)]) == 0
     text = capsys.readouterr().out
@@ -99,7 +99,7 @@ def test_json_is_one_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     made = json.loads(capsys.readouterr().out)
     assert [row["rollout"] for row in made["rollouts"]] == [0, 5, 7, 8, 9]
     assert (made["settings"]["seed"], made["settings"]["evaluated"], made["bytes"]) == (11, 0, out.stat().st_size)
-    replayed = answer_of(capsys, "replay", str(out))
+    replayed = answer_of(capsys, "inspect", str(out), "--replay")
     assert (replayed["identical"], replayed["rollouts"], replayed["difference"]) == (True, 5, "")
     found = answer_of(capsys, "inspect", str(out))
     assert found["topics"]["/rollout/end"] == {"schema": "mrac.End", "messages": 5}
@@ -113,10 +113,10 @@ def test_replay_of_a_changed_file_exits_with_1(tmp_path: Path, capsys: pytest.Ca
     bad = tmp_path / "bad.mcap"
     rewrite(out, bad, change=nth("/rollout/event", 0, lambda data: None))
     capsys.readouterr()
-    assert run(["replay", str(bad)]) == 1
+    assert run(["inspect", str(bad), "--replay"]) == 1
     said = capsys.readouterr()
     assert "NOT identical" in said.out
-    assert answer_of(capsys, "replay", str(bad), status=1)["identical"] is False
+    assert answer_of(capsys, "inspect", str(bad), "--replay", status=1)["identical"] is False
 
 
 def test_recover_tells_what_is_lost(
@@ -124,12 +124,12 @@ def test_recover_tells_what_is_lost(
 ) -> None:
     monkeypatch.setattr("analysis.recording.record.CHUNK_SIZE", 3_000)
     out = recorded(tmp_path, "--ids", "0-3", source=TINY)
-    assert run(["recover", str(out), "--out", str(tmp_path / "again.mcap")]) == 0
+    assert run(["inspect", str(out), "--repair", str(tmp_path / "again.mcap")]) == 0
     data = out.read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: len(data) * 2 // 3])
-    assert "try `mrac-jax recover" in refused_after(capsys, "inspect", str(cut))
-    assert run(["recover", str(cut)]) == 1
+    assert "try `mrac-jax inspect --repair OUT" in refused_after(capsys, "inspect", str(cut))
+    assert run(["inspect", str(cut), "--repair", str(tmp_path / "cut.recovered.mcap")]) == 1
     told = capsys.readouterr()
     assert "lost" in told.out
     saved = tmp_path / "cut.recovered.mcap"
@@ -140,12 +140,12 @@ def test_recover_tells_what_is_lost(
     assert kept == whole[: len(kept)]
     assert run(["inspect", str(saved)]) == 0
     assert "not the whole log" in capsys.readouterr().out
-    assert run(["replay", str(saved)]) == 0
+    assert run(["inspect", str(saved), "--replay"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert f"identical as far as it goes: {len(kept)} of 4 rollouts; the file is recovered" in said
-    found = answer_of(capsys, "replay", str(saved))
+    found = answer_of(capsys, "inspect", str(saved), "--replay")
     assert (found["identical"], found["partial"], found["rollouts"], found["asked"]) == (True, True, len(kept), 4)
-    assert answer_of(capsys, "recover", str(cut), "--out", str(saved), status=1)["complete"] is False
+    assert answer_of(capsys, "inspect", str(cut), "--repair", str(saved), status=1)["complete"] is False
 
 
 def refused_after(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -161,7 +161,7 @@ def test_another_planners_plan_is_recorded_open_loop(tmp_path: Path, capsys: pyt
     given = ("--plan", str(tmp_path / "other.json"))
     out = recorded(tmp_path, *given, "--ids", "0", source=str(tmp_path / "world.npz"))
     assert next(read_rollouts(out)).loop == "open"
-    assert run(["replay", str(out)]) == 0
+    assert run(["inspect", str(out), "--replay"]) == 0
     capsys.readouterr()
     (tmp_path / "closed").mkdir()
     words = (*given, "--ids", "0,1,2", "--loop", "closed")
@@ -169,14 +169,14 @@ def test_another_planners_plan_is_recorded_open_loop(tmp_path: Path, capsys: pyt
     loop = compile_closed_loop(load_plan(tmp_path / "other.json", world), world)
     for mine, trace in zip(read_rollouts(out), trace_rollouts(loop, 0, [0, 1, 2]), strict=True):
         assert_same_trace(mine.trace, trace)
-    assert run(["replay", str(out)]) == 0
+    assert run(["inspect", str(out), "--replay"]) == 0
 
 
 def test_a_saved_plan_is_recorded_too(tmp_path: Path) -> None:
     plan = tmp_path / "plan.json"
     assert run(["plan", TINY, "--robots", "3", "--out", str(plan)]) == 0
     out = recorded(tmp_path, "--plan", str(plan), "--ids", "1", source=TINY)
-    assert run(["replay", str(out)]) == 0
+    assert run(["inspect", str(out), "--replay"]) == 0
 
 
 def test_pictures_go_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -228,7 +228,7 @@ def test_inputs_are_never_overwritten(tmp_path: Path, capsys: pytest.CaptureFixt
     out = recorded(tmp_path, "--ids", "0", source=TINY)
     before = out.read_bytes()
     capsys.readouterr()
-    assert "is an input" in refused(capsys, "recover", str(out), "--out", str(out))
+    assert "is an input" in refused(capsys, "inspect", str(out), "--repair", str(out))
     plan = tmp_path / "plan.mcap"
     plan.write_text("{}")
     assert "is an input" in refused(capsys, "record", TINY, "--plan", str(plan), "--out", str(plan))
@@ -260,7 +260,7 @@ def test_a_log_of_somebody_else_is_listed(tmp_path: Path, capsys: pytest.Capture
     text = capsys.readouterr().out
     assert "/speed" in text
     assert "no recording of mrac-jax" in text
-    assert "settings.json" in refused(capsys, "replay", str(tmp_path / "other.mcap"))
+    assert "settings.json" in refused(capsys, "inspect", str(tmp_path / "other.mcap"), "--replay")
 
 
 def test_the_timeline_can_be_had_in_full(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -337,7 +337,7 @@ def test_ctrl_c_while_recording_leaves_what_is_done(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.layout.json", "run.mcap"]
     assert run(["inspect", str(out)]) == 0
     assert "not the whole log: interrupted" in capsys.readouterr().out
-    assert run(["replay", str(out)]) == 0
+    assert run(["inspect", str(out), "--replay"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "identical as far as it goes: 1 of 3 rollouts; the file is partial" in said
     before = out.read_bytes()
@@ -399,12 +399,15 @@ def test_ctrl_c_while_drawing(
     assert said[0].err.splitlines()[-1] == f"drawing {gif} ..."
     assert capsys.readouterr().err == f"interrupted while drawing; {out} is whole\n"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.layout.json", "run.mcap", "w.npz"]
-    assert run(["replay", str(out)]) == 0
+    assert run(["inspect", str(out), "--replay"]) == 0
 
 
 def test_a_file_left_by_a_killed_run_is_not_lost(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     left = tmp_path / "run.mcap.partial"
     left.write_bytes(b"precious")
     said = refused(capsys, "record", WORLD, "--ids", "0", "--out", str(tmp_path / "run.mcap"))
-    assert f"{left} is left from an earlier run; recover it with `mrac-jax recover {left}` or remove it" in said
+    assert (
+        f"{left} is left from an earlier run; recover it with `mrac-jax inspect --repair OUT {left}` or remove it"
+        in said
+    )
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [(left.name, b"precious")]

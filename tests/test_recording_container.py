@@ -140,7 +140,9 @@ def test_two_writers_of_one_name(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with LogWriter(path) as first:
         with (
-            pytest.raises(UsageError, match=r"a\.mcap\.partial is left .*`mrac-jax recover .*` or remove it"),
+            pytest.raises(
+                UsageError, match=r"a\.mcap\.partial is left .*`mrac-jax inspect --repair OUT .*` or remove it"
+            ),
             LogWriter(path),
         ):
             pass
@@ -279,7 +281,9 @@ def test_a_full_disk_is_told(tmp_path: Path) -> None:
             log._stream = Path("/dev/full").open("wb")  # noqa: SIM115
             log.write(channel, 0, b"x" * 10_000)
         left = tmp_path / f"{number}.mcap.partial"
-        assert f"{left} holds what was written so far: recover it with `mrac-jax recover {left}`" in str(caught.value)
+        assert f"{left} holds what was written so far: recover it with `mrac-jax inspect --repair OUT {left}`" in str(
+            caught.value
+        )
         assert left.exists()
 
 

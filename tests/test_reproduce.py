@@ -1,4 +1,4 @@
-"""`mrac-jax reproduce`: its points and the paper's statements."""
+"""`mrac-jax check --paper`: its points and the paper's statements."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.world import World
 
-# `mrac-jax reproduce`: the same points however they are run, from the right maps, and the command.
+# `mrac-jax check --paper`: the same points however they are run, from the right maps, and the command.
 
 
 def columns(answer: Reproduction) -> dict:
@@ -126,7 +126,8 @@ def test_no_point_depends_on_how_it_was_run(tmp_path: Path, processes: int) -> N
 
 def test_the_command_prints_saves_and_is_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [
-        "reproduce",
+        "check",
+        "--paper",
         "fig6",
         "--maps",
         "2",
@@ -150,7 +151,19 @@ def test_the_command_prints_saves_and_is_json(tmp_path: Path, capsys: pytest.Cap
     assert "statements of the paper" in out and "256 from the store" in out
     assert (
         run(
-            ["reproduce", "fig4", "--maps", "1", "--rollouts", "4", "--processes", "1", "--out", str(tmp_path / "four")]
+            [
+                "check",
+                "--paper",
+                "fig4",
+                "--maps",
+                "1",
+                "--rollouts",
+                "4",
+                "--processes",
+                "1",
+                "--out",
+                str(tmp_path / "four"),
+            ]
         )
         == 0
     )
@@ -169,21 +182,23 @@ def test_interrupted_leaves_whole_maps(monkeypatch: pytest.MonkeyPatch, capsys: 
             raise KeyboardInterrupt
 
     monkeypatch.setattr(module._Collected, "take", stop_in_the_third_map)
-    found = answer_of(capsys, "reproduce", "fig4", "--maps", "9", "--rollouts", "4", "--processes", "1", status=130)
+    found = answer_of(
+        capsys, "check", "--paper", "fig4", "--maps", "9", "--rollouts", "4", "--processes", "1", status=130
+    )
     assert (found["maps"], found["partial"]) == (2, True)
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("reproduce", "figure"),
-        ("reproduce fig3", "fig4 or fig5"),
-        ("reproduce fig4 --maps 0", "--maps 0"),
-        ("reproduce fig4 --rollouts 0", "--rollouts 0"),
-        ("reproduce fig4 --seed -1", "--seed -1"),
-        ("reproduce fig4 --processes 0", "--processes 0"),
-        ("reproduce fig4 --processes 2 --scheduler tcp://host:1", "one of them"),
-        ("reproduce fig4 --store nowhere/s.db", "nowhere"),
+        ("check --paper", "--paper"),
+        ("check --paper fig3", "fig4 or fig5"),
+        ("check --paper fig4 --maps 0", "--maps 0"),
+        ("check --paper fig4 --rollouts 0", "--rollouts 0"),
+        ("check --paper fig4 --seed -1", "--seed -1"),
+        ("check --paper fig4 --processes 0", "--processes 0"),
+        ("check --paper fig4 --processes 2 --scheduler tcp://host:1", "one of them"),
+        ("check --paper fig4 --store nowhere/s.db", "nowhere"),
     ],
 )
 def test_wrong_usage_is_one_line_and_status_2(words: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -347,7 +347,7 @@ def test_the_answer_prints_and_saves_itself(tmp_path: Path) -> None:
         assert (answer.world_with_starts.starts == answer.starts).all()
 
 
-# `mrac-jax clear`: gains against the simulator as Python, the gradient against differences, wrong input.
+# `threats --remove`: gains against the simulator as Python, the gradient against differences, wrong input.
 
 RISKS = np.zeros((6, 9))
 RISKS[1:3, 3:7], RISKS[4:, 6:], RISKS[0, 8], RISKS[3, 2], RISKS[5, 0] = 0.2, 0.05, np.nan, np.nan, 0.2
@@ -468,7 +468,7 @@ def overlapping(folder: Path) -> str:
 
 def test_sources_are_cleared_one_by_one_and_what_overlaps_stays(tmp_path: Path) -> None:
     world = mrac.load(overlapping(tmp_path))
-    answer = mrac.clear(world, remove="sources", rollouts=RUNS, seed=3, engine="numba", count=3)
+    answer = mrac.threats(world, unit="sources", rollouts=RUNS, seed=3, engine="numba", remove=3)
     names = ["wide", "inner", "line 2 of points.csv"]
     assert [one.threat.name for one in answer.options] == names and "beyond" in world.sources.names  # type: ignore[union-attr]
     assert [one.threat.p for one in answer.options] == pytest.approx([0.2, 0.5, 0.3])
@@ -494,9 +494,9 @@ def test_sources_are_the_default_where_there_are_several(tmp_path: Path) -> None
     changed = replace(world, threat=hidden.threat)
     assert threats_of(changed, world.starts, 16)[0] == "areas"
     with pytest.raises(UsageError, match=r"no polygon, point or site of its threats .*; use remove='areas'"):
-        mrac.clear(WORLD_CLEAR, remove="sources")
+        mrac.threats(WORLD_CLEAR, remove=1, unit="sources")
     with pytest.raises(UsageError, match="remove='all'; expected 'areas' or 'sources'"):
-        mrac.clear(WORLD_CLEAR, remove="all")  # type: ignore[arg-type]
+        mrac.threats(WORLD_CLEAR, remove=1, unit="all")  # type: ignore[arg-type]
 
 
 # The command.
@@ -509,7 +509,7 @@ def clear_file(tmp_path: Path) -> str:
 
 
 def test_the_command_says_gains_as_json(capsys: pytest.CaptureFixture[str], clear_file: str, small: Clearing) -> None:
-    words = ["clear", clear_file, *f"--count 2 --rollouts {RUNS} --seed 3 --exact never".split()]
+    words = ["threats", clear_file, *f"--remove 2 --rollouts {RUNS} --seed 3 --exact never".split()]
     found = answer_of(capsys, *words)
     assert found == json.loads(json.dumps(small.to_json()))
     assert found["pick"] == [threat.name for threat in small.picks] and found["gain"]["first_rollout"] == RUNS
@@ -534,16 +534,16 @@ def test_the_command_says_gains_as_json(capsys: pytest.CaptureFixture[str], clea
 def test_bad_options_are_told_clear(
     capsys: pytest.CaptureFixture[str], clear_file: str, tmp_path: Path, words: list[str], said: str
 ) -> None:
-    err = error_of(capsys, "clear", clear_file, *words, "--out", str(tmp_path / "out"))
+    err = error_of(capsys, "threats", clear_file, *words, "--out", str(tmp_path / "out"))
     assert said in err and not (tmp_path / "out").exists()
 
 
 def test_without_threat_there_is_nothing_to_clear() -> None:
     with pytest.raises(UsageError, match="no cell that a robot can reach is dangerous"):
-        mrac.clear(mrac.load(np.zeros((3, 3))))
+        mrac.threats(mrac.load(np.zeros((3, 3))), remove=1)
     behind = mrac.load([[0.0, np.nan, 0.5]])
     with pytest.raises(UsageError, match="no cell that a robot can reach is dangerous"):
-        mrac.clear(behind, starts=[[0, 0]])
+        mrac.threats(behind, remove=1, starts=[[0, 0]])
 
 
 def test_an_interruption_leaves_the_picks_so_far() -> None:
@@ -554,11 +554,11 @@ def test_an_interruption_leaves_the_picks_so_far() -> None:
         if len(calls) > 5:
             raise KeyboardInterrupt
 
-    answer = mrac.clear(WORLD_CLEAR, count=3, rollouts=RUNS, exact="never", progress=stop, on_interrupt="return")
+    answer = mrac.threats(WORLD_CLEAR, remove=3, rollouts=RUNS, exact="never", progress=stop, on_interrupt="return")
     assert answer.partial and len(answer.picks) == 1 and answer.gain is None
     assert clear_headline(answer).startswith("Interrupted.") and answer.to_json()["gain"] is None
     with pytest.raises(KeyboardInterrupt):
-        mrac.clear(WORLD_CLEAR, rollouts=RUNS, exact="never", progress=stop)
+        mrac.threats(WORLD_CLEAR, remove=1, rollouts=RUNS, exact="never", progress=stop)
 
 
 def test_the_answer_prints_and_saves_itself_clear(small: Clearing, tmp_path: Path) -> None:
@@ -569,7 +569,7 @@ def test_the_answer_prints_and_saves_itself_clear(small: Clearing, tmp_path: Pat
     assert "Where risk is paid" in page and 2 <= len(repr(small).splitlines()) <= 24
 
 
-# `mrac-jax attack`: the worst places against brute force, `clear` as its way back, hidden truths, wrong input.
+# `threats --add`: the worst places against brute force, `clear` as its way back, hidden truths, wrong input.
 
 P, RUNS_ATTACK = 0.4, 64
 
@@ -616,7 +616,7 @@ def left(answer: Attack) -> tuple[float, float]:
 @pytest.mark.parametrize(("seed", "height", "width", "count"), [(0, 6, 6, 1), (1, 6, 6, 1), (2, 3, 5, 2), (3, 3, 5, 2)])
 def test_the_worst_places_are_those_of_brute_force(seed: int, height: int, width: int, count: int) -> None:
     world = small_world(seed, height, width)
-    answer, best = mrac.attack(world, count=count, p=P), brute_force(world, count)
+    answer, best = mrac.threats(world, add=count, p=P), brute_force(world, count)
     assert left(answer) == pytest.approx(best, abs=1e-6)
     base = covered(mrac.plan(world).robots[0].path, world.threat)
     for placed, kind, leaves in ((answer.known, "known", best[0]), (answer.hidden, "hidden", best[1])):
@@ -632,7 +632,7 @@ def test_two_threats_on_6x6_are_mostly_those_of_brute_force() -> None:
     for seed in range(10, 20):
         world = small_world(seed, 6, 6)
         base = covered(mrac.plan(world).robots[0].path, world.threat)
-        found, worst = left(mrac.attack(world, count=2, p=P)), brute_force(world, 2)
+        found, worst = left(mrac.threats(world, add=2, p=P)), brute_force(world, 2)
         shares.append([(base - one) / (base - other) for one, other in zip(found, worst, strict=True)])
     known, hidden = np.transpose(shares)
     assert hidden == pytest.approx(np.ones(10), abs=1e-6)
@@ -642,13 +642,13 @@ def test_two_threats_on_6x6_are_mostly_those_of_brute_force() -> None:
 @pytest.fixture(scope="module")
 def attacked() -> Attack:
     world = World.create(np.where(np.add.outer(np.arange(5), np.arange(6)) % 4 == 3, 0.1, 0.0), starts=[[0, 0], [4, 0]])
-    return mrac.attack(world, count=2, p=P, rollouts=RUNS_ATTACK, seed=3, engine="numba", exact="never")
+    return mrac.threats(world, add=2, p=P, rollouts=RUNS_ATTACK, seed=3, engine="numba", exact="never")
 
 
 def test_clear_gives_back_what_was_placed(attacked: Attack) -> None:
     for world, placed in ((attacked.known_world, attacked.known), (attacked.hidden_world, attacked.hidden)):
         assert np.count_nonzero(world.threat != attacked.world.threat) == 2
-        back = mrac.clear(world, count=2, rollouts=16, exact="never")
+        back = mrac.threats(world, remove=2, rollouts=16, exact="never")
         assert sorted(one.name for one in back.picks) == sorted(one.name for one in placed.threats)
         assert np.array_equal(back.cleared_world.threat, attacked.world.threat)
         cells = {int(one.cells[0]) for one in placed.threats}
@@ -658,7 +658,7 @@ def test_clear_gives_back_what_was_placed(attacked: Attack) -> None:
 def test_hidden_is_what_robots_meet_who_believe_the_old_map(attacked: Attack) -> None:
     """A hidden truth (docs/unknown.md), on the very rollouts that were compared."""
     told = attacked.world
-    met = [mrac.with_truth(told, world) for world in (attacked.known_world, attacked.hidden_world)]
+    met = [told.with_true_map(world) for world in (attacked.known_world, attacked.hidden_world)]
     base, *others = (
         make_singles(world, mrac.plan(world), attacked.choices)(RUNS_ATTACK, RUNS_ATTACK) for world in (told, *met)
     )  # fmt: skip
@@ -677,16 +677,16 @@ def test_what_a_scenario_says_of_combining_is_kept(tmp_path: Path) -> None:
         "threats:\n- {points: points.csv, falloff: {kind: disc, radius: 0.6}}\n"
     )
     world = mrac.load(tmp_path / "site.yaml")
-    answer = mrac.attack(world, p=0.4)
+    answer = mrac.threats(world, add=1, p=0.4)
     assert answer.known_world.threat.max() == np.float32(0.6)  # nothing is gained where it is worse already
     assert [*answer.known_world.sources.names] == ["line 2 of points.csv", answer.known.threats[0].name]  # type: ignore[union-attr]
 
 
 def test_of_large_maps_some_cells_are_looked_at_and_fewer_planned_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    world, best = small_world(0, 6, 6), mrac.attack(small_world(0, 6, 6), p=P)
+    world, best = small_world(0, 6, 6), mrac.threats(small_world(0, 6, 6), add=1, p=P)
     monkeypatch.setattr(search, "MOST_PLACES", 12)
     monkeypatch.setattr("analysis.search.threats.TABLES", 0)
-    few = mrac.attack(world, p=P)
+    few = mrac.threats(world, add=1, p=P)
     assert len(few.turn.options) == 12 and len(few.turn.simulated) == 8
     assert all(one.screen is not None for one in few.turn.options)
     assert [*few.notes] == ["of 27 cells, those 12 where more danger costs the plan's paths most"]
@@ -701,7 +701,7 @@ def test_an_interruption_leaves_the_threats_so_far() -> None:
         if len(calls) > 40:
             raise KeyboardInterrupt
 
-    answer = mrac.attack(world, count=2, p=P, progress=stop, on_interrupt="return")
+    answer = mrac.threats(world, add=2, p=P, progress=stop, on_interrupt="return")
     assert answer.partial and len(answer.known.threats) >= 1 and answer.known.known is None
     assert attack_headline(answer).startswith("Interrupted.") and answer.to_json()["known"]["loss"]["known"] is None
     assert not answer.hidden.threats and {*attack_report(answer).files} == {"known.npz", "known.yaml"}
@@ -719,7 +719,7 @@ def test_the_command_says_it_as_json_and_writes_both_maps(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, attacked: Attack
 ) -> None:
     attacked.world.save(tmp_path / "map.npz")
-    words = ["attack", str(tmp_path / "map.npz"), *f"--count 2 --p {P} --rollouts {RUNS_ATTACK} --seed 3".split()]
+    words = ["threats", str(tmp_path / "map.npz"), *f"--add 2 --p {P} --rollouts {RUNS_ATTACK} --seed 3".split()]
     found = answer_of(capsys, *words, "--exact", "never", "--out", str(tmp_path / "out"))
     assert found == json.loads(json.dumps(attacked.to_json()))
     assert found["known"]["cells"] == [list(divmod(int(one.cells[0]), 6)) for one in attacked.known.threats]
@@ -749,10 +749,10 @@ def test_bad_options_are_told_attack(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, words: list[str], said: str
 ) -> None:
     small_world(0, 6, 6).save(tmp_path / "map.npz")
-    err = error_of(capsys, "attack", str(tmp_path / "map.npz"), *words, "--out", str(tmp_path / "out"))
+    err = error_of(capsys, "threats", str(tmp_path / "map.npz"), *words, "--out", str(tmp_path / "out"))
     assert said in err and not (tmp_path / "out").exists()
 
 
 def test_where_every_cell_is_a_start_there_is_nothing_to_threaten() -> None:
     with pytest.raises(InputError, match="no cell that a robot can reach is left to threaten"):
-        mrac.attack(mrac.load(np.zeros((1, 2))), starts=[[0, 0], [0, 1]])
+        mrac.threats(mrac.load(np.zeros((1, 2))), add=1, starts=[[0, 0], [0, 1]])

@@ -260,7 +260,7 @@ def test_robots_that_wear_and_differ(capsys: pytest.CaptureFixture[str], tmp_pat
     bears = {"weibull_shape": 2.0, "hazard_multiplier": (1.0, 3.0)}
     for search in (
         lambda how: mrac.starts(WORLD, 2, candidates=[[0, 0], [0, 5], [13, 13]], exact=how, **bears),
-        lambda how: mrac.clear(WORLD, 2, exact=how, **bears),
+        lambda how: mrac.threats(WORLD, 2, remove=1, exact=how, **bears),
     ):
         exact, rolled = search("auto"), search("never")
         assert exact.engine == ""

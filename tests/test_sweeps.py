@@ -10,20 +10,20 @@ from dataclasses import replace
 from itertools import product
 from math import inf
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from helpers import answer_of
+from information_value import Team, study_knowing
 from page_reader import refused
 from scipy import stats
 
 import mrac_jax as mrac
-from analysis.cli import stored as commands
+from analysis.cli import research as commands
 from analysis.cli.app import run
 from analysis.evaluation.evaluate import Evaluation
-from analysis.experiments.information_value import Team, study_knowing
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import Estimate
 from analysis.statistics.variance_reduction import BESIDE, expected_pieces, pieces
@@ -456,8 +456,8 @@ def test_no_store_is_made_for_a_run_that_cannot_begin(
         assert said in refused(capsys, "sweep", str(path), "--store", str(store), *words)
     if said != "precision":
         with pytest.raises(InputError, match=said):
-            mrac.reproduce("fig4", store=store, progress=False, **how)
-        assert said in refused(capsys, "reproduce", "fig4", "--store", str(store), *words)
+            mrac.check(paper="fig4", store=store, progress=False, **how)
+        assert said in refused(capsys, "check", "--paper", "fig4", "--store", str(store), *words)
     assert [one.name for one in tmp_path.iterdir()] == [path.name]
 
 
@@ -497,7 +497,7 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_commands_name_every_figure() -> None:
-    assert get_args(commands.Figure) == rows.FIGURES == tuple(report.NAMES)
+    assert commands.FIGURES == rows.FIGURES == tuple(report.NAMES)
 
 
 def test_results_bad_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -828,11 +828,11 @@ def swept_unsaid(folder: Path, text: str, rollouts: int = ROLLOUTS) -> Sweep:
 
 
 def dark(sense: float, obstacles: str = "unknown") -> World:
-    return mrac.with_prior(TRUE, 0.04, obstacles, sense=sense)  # type: ignore[arg-type]
+    return TRUE.with_prior_map(0.04, obstacles, sensor_range=sense)  # type: ignore[arg-type]
 
 
 def mined(world: World, kind: str = "persistent", learn: bool = True) -> World:
-    return mrac.with_hazard(world, kind, np.nan_to_num(world.threat), 0.5, learn)
+    return world.with_latent_hazard(kind, np.nan_to_num(world.threat), 0.5, learn)
 
 
 FINDS = {"range": 1, "detect": 0.8, "false_alarm": 0.1}
@@ -842,17 +842,17 @@ SWEEPS = {
     "base: {input: dark.yaml}\nsweep: {sensor_range: [1, 2, .inf]}": [dark(1), dark(2), dark(inf)],
     "base: {input: true.npz, robots: 2, sensor_range: {range: 2, sight: true}}\n"
     "sweep: {prior_map: [{p: 0.04}, {p: 0.04, obstacles: known}]}": [
-        mrac.with_prior(TRUE, 0.04, obstacles, sense={"range": 2, "sight": True}) for obstacles in ("unknown", "known")
+        TRUE.with_prior_map(0.04, obstacles, {"range": 2, "sight": True}) for obstacles in ("unknown", "known")
     ],
     "base: {input: dark.yaml, sensor_range: 0, prior_map: {p: 0.04, obstacles: known}}\nsweep: {prior.p: [0.04]}": [
         dark(0, "known")
     ],
     "base: {input: true.npz, robots: 2, plan_on: own}\n"
     "sweep: {moving_threats: [[{walk: 0.5, h: threats}], [{walk: 1, h: threats}]]}": [
-        mrac.with_movers(TRUE, [{"walk": stay, "h": "threats"}], "own") for stay in (0.5, 1)
+        TRUE.with_moving_threats([{"walk": stay, "h": "threats"}], "own") for stay in (0.5, 1)
     ],
     f"base: {{input: true.npz, robots: 1, moving_threats: [{GUARD}]}}\nsweep: {{'movers[0].h': [0.1, 0.3]}}": [
-        mrac.with_movers(TRUE, [{"patrol": [[1, 2], [1, 3], [2, 3], [2, 2]], "h": h}]) for h in (0.1, 0.3)
+        TRUE.with_moving_threats([{"patrol": [[1, 2], [1, 3], [2, 3], [2, 2]], "h": h}]) for h in (0.1, 0.3)
     ],
     f"base: {{input: true.npz, robots: 2, latent_hazard: {LEARN % 'persistent'}}}\n"
     "sweep: {latent_hazard.learn: [true, false]}": [
@@ -860,10 +860,10 @@ SWEEPS = {
     ],
     "base: {input: true.npz, robots: 2, sensor_range: {range: 1, detect: 0.8, false_alarm: 0.1}}\n"
     f"sweep: {{latent_hazard: [{LEARN % 'persistent'}, {LEARN % 'consumed'}]}}": [
-        mrac.with_sense(mined(TRUE, kind), FINDS) for kind in ("persistent", "consumed")
+        mined(TRUE, kind).with_sensor_range(FINDS) for kind in ("persistent", "consumed")
     ],
     "base: {input: true.npz, robots: 2}\nsweep: {map_uncertainty: [{spread: {kind: lognormal, sigma: 0.5}}]}": [
-        mrac.with_spread(TRUE, "lognormal", 0.5)
+        TRUE.with_spread("lognormal", 0.5)
     ],
 }  # fmt: skip
 
@@ -943,7 +943,7 @@ def test_random_maps_are_gone_on_with(tmp_path: Path) -> None:
     answer = swept_unsaid(tmp_path, text % 3, 30)
     assert (answer.finished.rollouts, answer.finished.reused) == (2 * 30, 4 * 30)
     for row, sense in zip(answer.rows, (1, 2), strict=True):
-        found = [covered(mrac.with_prior(small(n), 0.04, sense=sense), 2, "mrac", 3 + n, 30) for n in range(3)]
+        found = [covered(small(n).with_prior_map(0.04, sensor_range=sense), 2, "mrac", 3 + n, 30) for n in range(3)]
         assert row.estimate("visited").mean == pytest.approx(np.mean(found))
 
 
@@ -952,7 +952,7 @@ SHIFT = random_world(6, 8, ThreatPattern("scattered", seed=9), obstacles=0.0, th
 
 def shifted(world: World) -> World:
     both = 1 - (1.0 - world.threat) * (1.0 - SHIFT.threat)
-    return mrac.with_phases(world, [(9, np.where(world.free, both, np.nan))])
+    return world.with_phases([(9, np.where(world.free, both, np.nan))])
 
 
 @pytest.mark.parametrize(
@@ -1013,10 +1013,10 @@ def test_what_is_wrong_is_said_before_the_first_rollout(text: str, words: str, t
 
 
 def test_the_maps_threats_leave_it_and_walk() -> None:
-    world = mrac.with_movers(TRUE, WALKS, "patrols")
+    world = TRUE.with_moving_threats(WALKS, "patrols")
     assert world.movers is not None and (world.threat[TRUE.free] == 0).all()
     assert [mover.hit for mover in world.movers.members] == TRUE.threat[TRUE.threat > 0].tolist()
-    joined = mrac.with_movers(TRUE, WALKS, "joined").threat[TRUE.free].astype(float)
+    joined = TRUE.with_moving_threats(WALKS, "joined").threat[TRUE.free].astype(float)
     assert joined.mean() == pytest.approx(TRUE.threat[TRUE.free].mean(), rel=0.05) and joined.std() < 0.01
 
 
@@ -1035,8 +1035,8 @@ def test_reproduce_online_is_the_maps_rolled_out_by_hand(tmp_path: Path) -> None
         world = random_world(pattern=ThreatPattern(seed=seed))
         met = {
             "told": world,
-            "see 2": mrac.with_prior(world, 0.04, sense=2),
-            "blind": mrac.with_prior(world, 0.04, "known"),
+            "see 2": world.with_prior_map(0.04, sensor_range=2),
+            "blind": world.with_prior_map(0.04, "known"),
         }
         for way, found in by_way.items():
             found.append(covered(met[way], 2, "per_cell", seed, 20))

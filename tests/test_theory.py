@@ -909,7 +909,7 @@ def test_evaluate_says_it_where_it_holds() -> None:
     assert (
         f"No strategy visits more than {np.ceil(1e4 * limit / answer.tally.accessible) / 100:.2f} % on average" in said
     )
-    for choice in ({"first_visit": True}, {"bound": False}):
+    for choice in ({"threat_checks": "first_visit"}, {"bound": False}):
         other = mrac.evaluate(world, 2, rollouts=64, **choice)
         assert other.to_json()["bounds"]["any_strategy"] is None
         assert "No strategy" not in as_text(
@@ -921,7 +921,7 @@ def test_evaluate_says_it_where_it_holds() -> None:
 def test_the_bound_is_on_the_mean_wherever_it_is_said(tmp_path: Path) -> None:
     """Half of the runs on this row visit more than the bound: terminal, summary, page and value say "on average"."""
     world = World.create([[0, 0.5, 0, 0, 0, 0]])
-    answer = mrac.evaluate(world, 1, rollouts=400, metrics="coverage", deadline=3)
+    answer = mrac.evaluate(world, 1, rollouts=400, value=True, deadline=3)
     bound, tally = answer.bounds.least.cells, answer.tally
     assert tally.visited[int(bound) + 1 :].sum() > 0.4 * tally.rollouts
     answer.save(tmp_path)

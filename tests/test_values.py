@@ -27,12 +27,12 @@ from test_theory import fates_of
 import mrac_jax as mrac
 from analysis.estimators.trial import mean_value
 from analysis.evaluation.evaluate import evaluate
-from analysis.evaluation.outputs.value import ROWS, Units, found_chances, value_table
+from analysis.evaluation.outputs.value import Units, found_chances, value_table
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import Estimate, tail_mean, times_to
 from analysis.statistics.variance_reduction import LEAST, CommonLuck
 from analysis.theory.exact import Worth, open_loop_found
-from planner.errors import UsageError, WorldError
+from planner.errors import RenamedWarning, WorldError
 from planner.formatting import percent
 from planner.make_plan import make_plan
 from planner.mrac.problem import prepare
@@ -155,7 +155,7 @@ def test_the_closed_loop_against_every_pattern_of_hits(policy: str) -> None:
     visited, found = expected(play, one_of([world.threat.ravel()]))
     answer = evaluate(world, plan, RolloutChoices(rollouts=40_000, seed=11), band=False, advice=False)
     value = answer.outputs.get("value")
-    assert value is not None and value.metrics == "coverage"
+    assert value is not None
     for estimate, chance in ((value.covered, visited), (value.found, found)):
         truth = float(world.value.ravel() @ chance)
         assert abs(estimate.mean - truth) < 5 * estimate.se + 1e-9
@@ -186,29 +186,25 @@ def test_where_nothing_is_said_of_values_nothing_is_told() -> None:
     plan = make_plan(GRID, [[0, 0]])
     answer = evaluate(GRID, plan, RolloutChoices(rollouts=512), band=False)
     assert answer.outputs.get("value") is None
-    asked = evaluate(GRID, plan, RolloutChoices(rollouts=512), band=False, value="search").outputs.get("value")
+    asked = evaluate(GRID, plan, RolloutChoices(rollouts=512), band=False, value=True).outputs.get("value")
     assert asked is not None
     # each cell is worth 1, and is found; of one robot all of it is known
     assert asked.covered.mean == pytest.approx(answer.closed_form.visited, rel=1e-9)
     assert asked.found.mean == pytest.approx(answer.closed_form.survived, rel=1e-9)
-    with pytest.raises(UsageError, match="metrics='finding'"):
-        evaluate(GRID, plan, RolloutChoices(rollouts=512), value="finding")
 
 
-def test_search_and_clearance_are_the_same_numbers_in_other_words() -> None:
+def test_search_and_clearance_are_the_same_numbers() -> None:
     world = mrac.load(GRID.threat, value=VALUE / 50, detect=DETECT, route=[[0, 2], [2, 2]])
     plan = make_plan(world, [[0, 0], [2, 3]])
-    answer = mrac.evaluate(world, plan, loop="open", rollouts=4096, band=False, metrics="search")
+    answer = mrac.evaluate(world, plan, loop="open", rollouts=4096, band=False)
     value = answer.outputs.get("value")
-    assert value is not None and value.metrics == "search"
+    assert value is not None
     said = value.as_json()
     found, shares = open_loop_found(plan, world), world.value.ravel()
     assert said["search"]["success"] == pytest.approx(shares @ found)  # chances: they add up to less than 1
     assert said["search"]["success"] == pytest.approx(said["search"]["containment"] * said["search"]["detection"])
     assert said["clearance"]["cleared"] == pytest.approx(shares @ found / shares.sum())
     left = (shares * (1 - found))[[2, 6, 10]]
-    shown = {name: figure for name, figure, _ in ROWS["search"](value)}
-    assert shown["chance that it lies on the route and is not found"] == percent(left.sum(), 2)
     assert said["clearance"]["route"] == {"remaining": left.sum(), "risk": [left.max(), left.sum()]}
     assert said["covered"]["ci95"] == [said["covered"]["mean"]] * 2
     assert [chance["mean"] for chance in said["robots_left"]] == pytest.approx(
@@ -349,7 +345,7 @@ def test_intervals_of_value_hold(seed: int, team: tuple[int, Kind], figure: str)
 def test_what_a_tree_knows_is_what_the_value_table_says(detect: float) -> None:
     """Value covered, losses and robots left are exact where the closed loop is; of one robot all of it."""
     world = GRID.with_values(VALUE, np.full(GRID.shape, detect))
-    answer = mrac.evaluate(world, mrac.plan(world, 2), rollouts=400, metrics="coverage", advice=False)
+    answer = mrac.evaluate(world, mrac.plan(world, 2), rollouts=400, advice=False)
     found, known = answer.outputs["value"], answer.to_json()["exact"]["closed_loop"]
     assert known["how"] == "tree"
     assert found.robots_left[0].mean == pytest.approx(known["some_left"]) and found.robots_left[0].half_width == 0
@@ -461,7 +457,6 @@ WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     ({"value": [{"raster": "raster.npy", "rule": {}}]}, {}, "unknown key `value[0].rule`"),
     ({"detect": 1.5}, {}, "`detect` is 1.5; expected a chance, 0 to 1"),
     ({"detect": [{"raster": "raster.npy"}]}, {}, "says detect = 2 at [0, 2] (9 such cells); expected a chance, 0 to 1"),
-    ({"metrics": "rescue"}, {}, "`metrics` is 'rescue'; expected coverage or search or clearance"),
     ({"route": [[0, 0]]}, {}, "`route` is [[0, 0]]; expected a list of two [row, col] or more"),
     ({"route": [[0, 0], [0, 9]]}, {}, "`route`: leaves the map"),
     ({"route": [[1, 0], [1, 3]]}, {}, "`route`: meets an obstacle at [1, 1]; expected free cells all the way"),
@@ -500,8 +495,8 @@ def test_a_route_is_the_cells_that_its_line_meets(tmp_path: Path) -> None:
     world = World.create(np.zeros((4, 6)))
     assert route_over(world, [[0.5, 0.5], [0.5, 2.5], [2.5, 2.5]]).tolist() == [[0, 0], [0, 1], [0, 2], [1, 2], [2, 2]]
     keys = {"route_xy": [[0.5, 0.5], [3.5, 0.5]], "metrics": "clearance"}
-    team = load_input(scenario(tmp_path, keys)).team
-    assert team.metrics == "clearance"
+    with pytest.warns(RenamedWarning, match="`metrics` left with release 0.4"):
+        team = load_input(scenario(tmp_path, keys)).team
     assert team.route is not None and team.route.tolist() == [[2, 0], [2, 1], [2, 2], [2, 3]]
 
 

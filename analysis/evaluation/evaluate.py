@@ -479,18 +479,12 @@ def _wanted(choices: RolloutChoices, asked: dict[str, Any], world: World) -> dic
         "experience": world.learned_hazard is not None,
         "map_doubt": isinstance(world.doubt, Uncertain),
         "turn": world.pace.turn or None,
-        "value": _metrics(world),
+        "value": world.value is not None or world.detect is not None or world.team.route is not None,
     } | asked
     wanted = {key: given[key] for key in OUTPUTS if given.get(key) not in (None, ()) and given[key] is not False}
     for key, value in wanted.items():
         OUTPUTS[key].check(value, world)
     return wanted
-
-
-def _metrics(world: World) -> str | None:
-    """Whose words the map asks for; None where it says nothing of values, and none are worked out."""
-    says = world.value is not None or world.detect is not None or world.team.route is not None
-    return world.team.metrics or ("coverage" if says else None)
 
 
 def cut_off(world: World, tally: Tally, plan: Plan) -> tuple[str, ...]:

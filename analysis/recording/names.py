@@ -36,7 +36,7 @@ def left_over(growing: Path) -> UsageError:
 
 def how_to_clear(growing: Path) -> str:
     """What can be done with a growing file that nobody writes any more."""
-    recover = f"recover it with `mrac-jax recover {growing}` or " if growing.suffix == GROWING else ""
+    recover = f"recover it with `mrac-jax inspect --repair OUT {growing}` or " if growing.suffix == GROWING else ""
     return f"{recover}remove it"
 
 

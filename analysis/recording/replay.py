@@ -1,4 +1,4 @@
-"""`mrac-jax replay`: roll the recorded rollouts out again from what is in the file, and compare message by message."""
+"""`mrac-jax inspect`: its contents, and its rollouts run again and compared message by message (`--replay`)."""
 
 from __future__ import annotations
 

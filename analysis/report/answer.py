@@ -64,6 +64,8 @@ def _minutes(value: Any, name: str, pace: Pace) -> Any:
 
 # A report on a terminal, in a folder, as JSON, in a console.
 
+FORMAT = 2
+"""Of the JSON object of a report: 2 since release 0.4, which renamed keys (CHANGELOG.md)."""
 WIDE = 140
 """Characters in a line of a folder's text file."""
 
@@ -85,7 +87,7 @@ def as_json(value: Any) -> Any:
 
 def json_of(report: Report) -> Any:
     """The JSON object of a report, times in minutes too where a step has a length."""
-    said = with_minutes(as_json(report.json()), report.pace)
+    said = {"format": FORMAT} | with_minutes(as_json(report.json()), report.pace)
     return said | {"step_seconds": report.pace.seconds} if report.pace else said
 
 

@@ -233,7 +233,7 @@ def _place_json(place: Place, depot: bool) -> Json:
     return {"starts": place.starts[:1] if depot else place.starts, **told, **_value(place)}
 
 
-# What `mrac-jax clear` says: what to clear, what that wins, all threats on the map and in figures.
+# The report of `threats --remove`: the threats to remove, the gain, all threats on the map and in figures.
 
 KINDS = {"areas": "connected areas of danger", "sources": "polygons, points and sites of the scenario"}
 KINDS_OF_GAIN = {"cells": "Cells", "of value": "Value"}
@@ -401,7 +401,7 @@ def _clear_threat_json(one: Weighed) -> Json:
     return {"name": threat.name, "cells": threat.cells, "p": float(exactly(round(threat.p, 9))), **told}
 
 
-# What `mrac-jax attack` says: the worst places, what they cost robots of both kinds, every cell on the map.
+# The report of `threats --add`: the worst cells, the cost with and without knowledge of them, every cell on the map.
 
 ATTACK_SHOWN = 12
 """Cells in the table; the JSON object holds all."""

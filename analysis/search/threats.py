@@ -531,7 +531,7 @@ class Attack(Weighing):
 
     @property
     def hidden_world(self) -> World:
-        """What robots meet that do not know: `mrac.with_truth(world, answer.hidden_world)`."""
+        """What robots meet that do not know: `world.with_true_map(answer.hidden_world)`."""
         return with_all(self.world, self.hidden.threats)
 
 
@@ -596,6 +596,21 @@ class _Adversary:
 
     def _meet(self, world: World, threat: Threat) -> Trial:
         return self.make(threat.placed(world))
+
+
+def threats_search(
+    remove: int | None, add: int | None, unit: Remove | None, p: float | None
+) -> Callable[..., Clearing | Attack]:
+    """The search of `threats`: `find_clearing` of `remove` threats, or `find_attack` of `add`. Raises UsageError."""
+    if (remove is None) == (add is None):
+        raise UsageError(f"threats needs {argument('remove')} or {argument('add')}", expected="one of them")
+    name, unused = ("p", p) if add is None else ("unit", unit)
+    if unused is not None:
+        problem = f"{argument(name, unused)} with {argument('remove' if add is None else 'add')}"
+        raise UsageError(problem, fix="leave it out")
+    if add is None:
+        return partial(find_clearing, count=remove or 0, remove=unit)
+    return partial(find_attack, count=add, p=0.2 if p is None else p)
 
 
 def find_attack(

@@ -29,12 +29,11 @@ from analysis.sweeps.store_files import Ranges, cut
 from analysis.utils.pool import AHEAD
 from analysis.utils.progress import run_loop
 from planner.arguments import BLOCK, argument, is_whole
-from planner.errors import InputError, UsageError
+from planner.errors import InputError, UsageError, names_of_0_3
 from planner.files import Json
 from planner.plan.plan import Plan
 from planner.plan_team import plan_team, read_plan_on
 from planner.policies import DEFAULT
-from planner.renamed import names_of_0_3
 from planner.settings import BEARING, Choices, Settings
 from planner.tally import Tally
 from planner.world.features import BEFORE, NOW, RELEASES, as_before, rules_of

@@ -29,16 +29,14 @@ from analysis.inputs import input_path, map_size
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import BESIDE, MOST_MAPS, Case, Generated, Label, Places, Written, canonical
 from analysis.sweeps.engine import Job
-from planner.arguments import ANY, FRACTION, MOST_ROLLOUTS, SEED, Numbers, did_you_mean, whole
-from planner.errors import PER_VISIT, InputError, ScenarioError, UsageError
+from planner.arguments import ANY, FRACTION, MOST_ROLLOUTS, Numbers, did_you_mean, whole
+from planner.errors import PER_VISIT, RENAMED, InputError, ScenarioError, UsageError, with_new_names
 from planner.files import Json
 from planner.policies import DEFAULT
-from planner.renamed import RENAMED, with_new_names
 from planner.rollouts.engine import MOST_SEED
+from planner.settings import OPTIONS, Choices, Setting
 from planner.settings import SETTINGS as PLANNER_SETTINGS
-from planner.settings import Choices, Setting
 from planner.world.keys import PLACE, Key, read_yaml
-from planner.world.world import MAX_ROBOTS
 
 # The settings of a sweep by name: what values each takes, and how they become worlds, cases and models.
 
@@ -96,16 +94,16 @@ PAPER: dict[str, Reader] = {"obstacles": _one_of(FRACTION), "size": _size}
 UNSAID: dict[str, Reader] = {name: lambda key: key.value for name in BESIDE}
 """Keys of a scenario, of any world; null: without it."""
 TEAM: dict[str, Reader] = {
-    "robots": _one_of(whole(1, MAX_ROBOTS)),
+    "robots": _one_of(OPTIONS["robots"].numbers),
     "starts": _starts,
     "plan": lambda key: str(key.file("a file")),
 }
 PLANNER: dict[str, Reader] = {name: _of(setting) for name, setting in PLANNER_SETTINGS.items()}
 MODEL: dict[str, Reader] = {
-    "loop": _word("closed", "open"),
-    "threat_checks": _word("every_visit", "first_visit"),
+    "loop": _word(*OPTIONS["loop"].words),
+    "threat_checks": _word(*OPTIONS["threat_checks"].words),
     "luck": _left,
-    "seed": _one_of(SEED),
+    "seed": _one_of(OPTIONS["seed"].numbers),
 }
 SETTINGS = {**INPUT, **WORLD, **PAPER, **UNSAID, **TEAM, **PLANNER, **MODEL}
 PLACES = ("map", "cell_size", "unknown", "threats", "combine", "true_map", *BESIDE)

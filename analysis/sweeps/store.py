@@ -24,10 +24,9 @@ from urllib.parse import quote
 from analysis.sweeps.cases import Label, RunResult, canonical
 from analysis.sweeps.store_files import Ranges, add_sums, joined, pack, rows_of, sums_of, unpack, without
 from planner.arguments import BLOCK
-from planner.errors import PER_VISIT, InputError
+from planner.errors import LOOPS, PER_VISIT, RENAMED, InputError
 from planner.files import Json, printable, why_no_file
 from planner.formatting import counted
-from planner.renamed import LOOPS, RENAMED
 from planner.tally import Tally
 
 # Opening a store's file: SQLite in WAL mode, made, checked, versioned; what SQLite says when it cannot, in our words.

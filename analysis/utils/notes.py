@@ -9,8 +9,7 @@ from inspect import Parameter, signature
 from typing import Any
 
 from planner.arguments import nearest
-from planner.errors import UsageError, visible
-from planner.renamed import with_new_names
+from planner.errors import UsageError, visible, with_new_names
 
 ProgressCallback = Callable[[int, int, float], None]
 """`progress(done, total, seconds)`, called after every chunk; `total` is 0 when it is not known."""

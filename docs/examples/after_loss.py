@@ -29,7 +29,7 @@ CHOICES = RolloutChoices(rollouts=4096, seed=10**6)
 
 def at_first_loss(world: mrac.World, plan: mrac.Plan, draw: np.random.Generator) -> MissionState | None:
     """Where a run stands after its first loss; None where nothing is left to decide."""
-    mission = mrac.mission(world, plan)
+    mission = mrac.drive(world, plan)
     while mission.outcome is None and not mission.lost:
         for order in mission.orders().values():
             stopped = bool(draw.random() < world.threat[order.cell])

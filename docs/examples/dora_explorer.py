@@ -80,7 +80,7 @@ def main(checkout: Path, starts: int, rollouts: int) -> None:
         say(f"their {name}", values, logs[0])
     maps = [mrac.load(checkout / f"sim/data/radiation_sources{number}.json") for number in range(MAPS)]
     for far, p, settings in OURS:
-        known = maps if far == TOLD else [mrac.with_prior(world, p, sense=far) for world in maps]
+        known = maps if far == TOLD else [world.with_prior_map(p, sensor_range=far) for world in maps]
         what = "told the map" if far == TOLD else f"expect {p:g}, see {far}"
         limits = f" worth {settings.robot_value} reserve {settings.risk_cap}"
         say(f"{what}: {settings.policy}{limits}", ours(known, settings, starts, rollouts), logs[0])

@@ -29,8 +29,8 @@ def guarded(seed: int) -> Iterator[tuple[str, mrac.World]]:
     corners = np.argwhere(free[:-1, :-1] & free[1:, :-1] & free[:-1, 1:] & free[1:, 1:])
     chosen = np.random.default_rng(seed).choice(corners, 20, replace=False).tolist()
     movers = [{"patrol": [[r, c], [r, c + 1], [r + 1, c + 1], [r + 1, c]], "h": 0.5} for r, c in chosen]
-    yield NAMES[0], mrac.with_movers(empty, movers, plan_on="own")
-    yield NAMES[1], mrac.with_movers(empty, movers, plan_on="joined")
+    yield NAMES[0], empty.with_moving_threats(movers, plan_on="own")
+    yield NAMES[1], empty.with_moving_threats(movers, plan_on="joined")
 
 
 def main(maps: int, rollouts: int) -> None:

@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arguments import MAX_PLAN_BYTES, MAX_STEP, whole
-from planner.errors import PlanError
+from planner.errors import LOOPS, PlanError
 from planner.files import read_json
 from planner.plan.plan import FORMAT, VERSION, Area, Leg, Plan, RobotPlan
 from planner.plan.reading import at, check_map, check_partition, read_cells
 from planner.plan.state_file import parse_state
-from planner.renamed import LOOPS
 from planner.settings import BEARING, KEPT, POLICY, SETTINGS, Settings
 from planner.simulator.codes import NO_ROBOT, Outcome
 from planner.tally import OF_CLOSED_LOOP, WORDS_OF_0_3

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import PlanError
+from planner.errors import PlanError, names_of_0_3
 from planner.mrac.problem import Problem, check_every_visit, ready_loop
 from planner.plan.plan import Area, Plan, RobotPlan, last_move
 from planner.plan.state import MissionState
-from planner.renamed import names_of_0_3
 from planner.rollout_sampling import check_counters
 from planner.rollouts.loop import NO_COUNTS, ClosedLoop, known_cells, purpose_of
 from planner.rollouts.runners import Runner, on_threads, run_sets, singles_of

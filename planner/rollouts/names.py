@@ -6,18 +6,18 @@ import os
 from importlib import import_module
 from importlib.util import find_spec
 from pkgutil import resolve_name
-from typing import Any, Literal, get_args
+from typing import Any
 
+from planner.arguments import ENGINES as ENGINES
+from planner.arguments import EngineName as EngineName
 from planner.arguments import argument
 from planner.errors import UsageError
 
-EngineName = Literal["auto", "jax", "numba"]
-ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 OF_JAX = {
     "open loop": "mrac_jax.open_loop:JaxOpenLoop",
     "closed loop": "mrac_jax.closed_loop.engine:JaxClosedLoop",
-    "environment": "mrac_jax.environment.area_env:make_env",
-    "policy": "mrac_jax.environment.area_env:PolicyRollouts",
+    "environment": "mrac_jax.env.area_env:make_env",
+    "policy": "mrac_jax.env.area_env:PolicyRollouts",
     "accelerator": "mrac_jax.runtime:accelerator",
 }
 """Engines and environment in JAX, as names: `mrac_jax` imports this package, so this package cannot import it."""

@@ -28,10 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arguments import BLOCK, MAX_STEP, argument
-from planner.errors import PlanError, UsageError
+from planner.errors import PlanError, UsageError, names_of_0_3
 from planner.failure_model import Bearing, least_word
 from planner.plan.plan import Plan, entries, last_move
-from planner.renamed import names_of_0_3
 from planner.rollouts.open_loop_events import (
     WORD_BITS,
     Entries,

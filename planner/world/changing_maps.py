@@ -36,18 +36,7 @@ FIRST = PLAN_ON[0]
 
 
 def with_phases(world: World, phases: Sequence[tuple[Any, World | ArrayLike]], plan_on: Foresight = FIRST) -> World:
-    """A world with threats that change by phases, beginning with its own.
-
-    Args:
-        world: the map.
-        phases: pairs `(begin, threats)`, in order of time: from step `begin` on p of a visit is that of `threats`, an
-            array `[H, W]` (NaN = obstacle, as in the world) or a world. A pair with step 0 replaces the world's own.
-        plan_on: "now": changes become known as they come; "first": robots use the first map throughout; "worst": the
-            cell-wise maximum.
-
-    Raises:
-        WorldError: invalid phases, an uncertain or unknown map, or robot types.
-    """
+    """`World.with_phases`."""
     check_alone(world, "phases")
     check_word("plan_on", plan_on, PLAN_ON, WorldError, world.source)
     for number, pair in enumerate(phases):
@@ -111,18 +100,7 @@ PRIOR_LAST = "; a prior is given after the maps"
 
 
 def with_hazard(world: World, kind: str, q: ArrayLike, h: ArrayLike = 1.0, learn: bool = False) -> World:
-    """A world with latent hazards instead of its threats; robots plan on q * h.
-
-    Args:
-        world: the map; other latent hazards are replaced.
-        kind: "persistent"; "consumed": the first loss removes it; "independent": every visit is a draw from q * h.
-        q: probability that the hazard exists; a number or `[H, W]`.
-        h: probability that a visit to it destroys the robot; a number or `[H, W]`.
-        learn: whether robots estimate hazards; `with_sense` adds detectors.
-
-    Raises:
-        WorldError: invalid probabilities, another uncertainty, or robot types.
-    """
+    """`World.with_latent_hazard`."""
     check_alone(world, "latent_hazard", over=Hazard)
     if learn and kind == "independent":
         problem = "hazards drawn independently for every visit cannot be estimated"
@@ -133,16 +111,7 @@ def with_hazard(world: World, kind: str, q: ArrayLike, h: ArrayLike = 1.0, learn
 
 
 def with_maps(world: World, maps: Sequence[ArrayLike] | NDArray, plan_on: float | None = None) -> World:
-    """A world with equally likely maps instead of its threats; one of them is true in each rollout.
-
-    Args:
-        world: the map; other candidate maps are replaced.
-        maps: `[M, H, W]`, p, with the obstacles of the world.
-        plan_on: None: robots plan on the cell-wise mean; 0.9: on the 90 % quantile.
-
-    Raises:
-        WorldError: invalid maps, another uncertainty, or robot types.
-    """
+    """`World.with_maps`."""
     check_alone(world, "maps", Uncertain, PRIOR_LAST)
     if len(maps) == 0:
         raise WorldError("uncertain maps is empty", source=world.source, expected="a map or more")
@@ -158,18 +127,7 @@ def with_maps(world: World, maps: Sequence[ArrayLike] | NDArray, plan_on: float 
 
 
 def with_spread(world: World, kind: str, amount: float, by: str = "common", plan_on: float | None = None) -> World:
-    """A world with a spread on its threats: the true p of each rollout is drawn around them.
-
-    Args:
-        world: the map.
-        kind: "lognormal", `amount` the standard deviation of log p; or "beta", `amount` an effective sample size.
-        amount: see `kind`.
-        by: "common": one number for the whole map; "level": one for each threat level, at most 16.
-        plan_on: as in `with_maps`; the mean is the world's own threat.
-
-    Raises:
-        WorldError: an invalid argument, another uncertainty, or robot types.
-    """
+    """`World.with_spread`."""
     check_alone(world, "spread", or_else=PRIOR_LAST)
     levels = find_levels(world, world.free, MOST_LEVELS).of_cell.reshape(world.shape)
     uncertain, cut = spread_of(world.threat, levels, kind, amount, by, world.source)

@@ -31,16 +31,7 @@ Given = float | Sense | Mapping[str, Any]
 
 
 def with_truth(world: World, truth: World | ArrayLike, sense: Given = 0) -> World:
-    """A world whose map is the prior map, and whose true map is another.
-
-    Args:
-        world: the prior map.
-        truth: `[H, W]`, p with NaN = obstacle, or a world.
-        sense: sensor range in cells, or `{range, sight}`; 0: no sensor, and the obstacles must be the same.
-
-    Raises:
-        WorldError: the maps do not fit together, or are uncertain.
-    """
+    """`World.with_true_map`."""
     _check_plain(world)
     true = truth if isinstance(truth, World) else World.create(truth, source=f"{world.source}: truth")
     _check_plain(true)
@@ -48,17 +39,7 @@ def with_truth(world: World, truth: World | ArrayLike, sense: Given = 0) -> Worl
 
 
 def with_prior(world: World, p: float, obstacles: Obstacles = "unknown", sense: Given = 0) -> World:
-    """A world whose robots know nothing of the map: on the prior map every cell is free, with threat p.
-
-    Args:
-        world: the true map; for an uncertain map the true one is drawn.
-        p: threat of every cell of the prior map.
-        obstacles: "known": the prior map has the true obstacles; "unknown": it has none.
-        sense: sensor range in cells, or `{range, sight}`.
-
-    Raises:
-        WorldError: an invalid argument, or a world with other uncertainties.
-    """
+    """`World.with_prior_map`."""
     check_word("obstacles", obstacles, OBSTACLES, WorldError, world.source)
     PROBABILITY.check("prior_map", p, WorldError, world.source)
     truth, nowhere = world.met, np.zeros(world.shape, dtype=np.bool_)
@@ -67,16 +48,7 @@ def with_prior(world: World, p: float, obstacles: Obstacles = "unknown", sense: 
 
 
 def with_sense(world: World, sense: Given) -> World:
-    """A copy with another sensor, for an unknown or uncertain map.
-
-    Args:
-        world: the map.
-        sense: range in cells, or `{range, sight}`; for hazard estimates a detector, `{range, sight, detect,
-            false_alarm}`.
-
-    Raises:
-        WorldError: the map is known, or the sensor is invalid.
-    """
+    """`World.with_sensor_range`."""
     if world.learned_hazard is not None:
         return replace(world, doubt=replace(world.learned_hazard, detector=make_detector(sense, world.source)))
     if world.knowledge is None and not isinstance(world.doubt, Uncertain):
@@ -215,19 +187,7 @@ THREATS = "threats"
 
 
 def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_on: PlannedOn | None = None) -> World:
-    """A world with moving threats in addition to its own.
-
-    Args:
-        world: the map.
-        movers: each with the keys of a scenario: `{"walk": 0.2, "h": 0.3, "count": 6}`, or
-            `{"patrol": [[0, 0], [0, 1]], "h": 1}`; `{"walk": 0.5, "h": "threats"}`: each dangerous cell becomes a
-            walker with its p.
-        plan_on: "patrols": robots plan on p joined with the long-run positions of movers that have a route; "joined":
-            of all movers; "own": on p only. None: "patrols" ("joined" before release 0.4).
-
-    Raises:
-        WorldError: invalid movers, an uncertain or unknown map, or robot types.
-    """
+    """`World.with_moving_threats`."""
     chosen = PATROLS if plan_on is None else plan_on
     check_word("plan_on", chosen, PLAN_ON, WorldError, world.source)
     check_alone(world, "moving_threats")

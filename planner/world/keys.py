@@ -17,10 +17,9 @@ import yaml
 from numpy.typing import ArrayLike, NDArray
 
 from planner.arguments import ANY, Numbers, did_you_mean, whole
-from planner.errors import InputError, ScenarioError, WorldError
+from planner.errors import InputError, ScenarioError, WorldError, warn_renamed, with_new_names
 from planner.files import printable, why_no_file
 from planner.formatting import counted, seconds_of
-from planner.renamed import warn_renamed, with_new_names
 from planner.settings import Setting
 
 MAX_YAML_BYTES = 2**18

@@ -309,11 +309,7 @@ def level_costs(values: NDArray[np.float64], n: int, risk: Literal["paper", "log
 
 
 def to_networkx(world: World) -> nx.DiGraph:
-    """The free cells as a directed graph: nodes (row, col) with `threat` and `pos` (metres).
-
-    An edge into a cell has `cost` (eq. (3) in the integers of SPEC section 3, without quantisation) and
-    `hazard = -log(1 - p)`, which adds up along paths.
-    """
+    """`World.to_networkx`."""
     import networkx as nx
 
     # Imported here: only this function needs the searches, and NetworkX is slow to load.

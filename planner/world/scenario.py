@@ -6,6 +6,7 @@ import difflib
 import itertools
 import math
 import os
+import warnings
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -16,10 +17,9 @@ import yaml
 from numpy.typing import ArrayLike, NDArray
 
 from planner.arguments import ANY, Numbers, argument, whole
-from planner.errors import InputError, MapError, ScenarioError, WorldError
+from planner.errors import InputError, MapError, RenamedWarning, ScenarioError, WorldError, with_new_names
 from planner.files import Json, atomic_write, check_file
 from planner.formatting import SPEEDS, STEP_SECONDS, TURNS, Pace
-from planner.renamed import with_new_names
 from planner.settings import SETTINGS as KNOWN
 from planner.settings import Settings
 from planner.world.changing_maps import read_hazard, read_phases, read_uncertain
@@ -36,29 +36,20 @@ from planner.world.threats import all_threats, layers, one_source
 from planner.world.vector_files import BOUNDARIES, keep_out, read_field
 from planner.world.world import MAX_ROBOTS, Team, World, check_starts
 
-# Terms of a scenario's report, and the route to make safe: `metrics`, `route`, `route_xy`.
+# The route that is to be safe: `route`, `route_xy`. The key `metrics` of release 0.3 is read and ignored.
 
-METRICS = ("coverage", "search", "clearance")
-"""Terms of coverage planning, of search and rescue, of mine clearance."""
-METRICS_KEYS = ("metrics", "route", "route_xy")
+ROUTE_KEYS = ("route", "route_xy")
 SAMPLES = 16
 """Points sampled per cell length of a route."""
 
 
 def reported(keys: dict[str, Key], world: World) -> Json:
-    """`metrics` and `route` of `planner.world.world.Team`, where the keys name them.
-
-    Args:
-        keys: of the scenario.
-        world: its map.
-
-    Raises:
-        ScenarioError: a key is invalid.
-    """
+    """`route` of `planner.world.world.Team`, if the keys name one."""
     found: Json = {}
     if "metrics" in keys:
-        found["metrics"] = keys["metrics"].choice(METRICS)
-    named = [name for name in METRICS_KEYS[1:] if name in keys]
+        note = f"{world.source}: `metrics` left with release 0.4: the figures of every field are in docs/value.md"
+        warnings.warn(note, RenamedWarning, stacklevel=2)
+    named = [name for name in ROUTE_KEYS if name in keys]
     if len(named) > 1:
         raise keys["route"].wrong("route or route_xy, not both")
     for name in named:
@@ -187,7 +178,7 @@ OF_ROBOTS = ("range", "hazard_multiplier", "return_to", "recharge", "types", "st
 """Planner settings as keys of a scenario, and those under its key `robots`."""
 OPTIONAL = (
     "cell_size", "datum", "keepout", "robots", *IN_DOUBT, "plan_on", "value", "detect", *KNOWLEDGE,
-    *METRICS_KEYS, *TIME_KEYS, *SETTINGS,
+    "metrics", *ROUTE_KEYS, *TIME_KEYS, *SETTINGS,
 )  # fmt: skip
 """Optional keys."""
 OF_FIELDS = ("boundary", "direction", "swath")

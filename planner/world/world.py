@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import reprlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from pkgutil import resolve_name as _elsewhere
 from typing import Any
 
 import numpy as np
@@ -40,18 +41,12 @@ FOUR_NEIGHBOURS = ndimage.generate_binary_structure(2, 1)
 class Team:
     """Requests of an input about the team.
 
-    Attributes:
-        robots: number of robots, or None.
-        start: the rule that places them.
-        settings: planner settings.
-        metrics: the field whose terms the report uses, "" if not given.
-        route: int64 `[R, 2]`, (row, col) of the cells of the route to make safe, in order, or None.
+    `route`: int64 `[R, 2]`, (row, col) of the cells of the route that is to be safe, in order, or None.
     """
 
     robots: int | None = None
     start: str = "upper-left"
     settings: Mapping[str, Any] = field(default_factory=dict)
-    metrics: str = ""
     route: NDArray[np.int64] | None = None
 
 
@@ -397,6 +392,96 @@ class World:
         TURNS.check("turn", turn, optional=True)
         pace = found if found else self.pace
         return replace(self, pace=replace(pace, turn=self.pace.turn if turn is None else float(turn)))
+
+    def with_phases(self, phases: Sequence[tuple[Any, World | ArrayLike]], plan_on: str = "first") -> World:
+        """The world with threats that change with time.
+
+        Args:
+            phases: pairs `(begin, threats)` in order of time: from step `begin` on, p of a visit is that of `threats`,
+                an array `[H, W]` (NaN = obstacle, as in the world) or a world. A phase of step 0 replaces the map's p.
+            plan_on: "now": robots learn of a change when it comes; "first": they plan on the first map only; "worst":
+                on the cell-wise maximum.
+
+        Raises WorldError for invalid phases, a world without a known map, or robot types.
+        """
+        return _elsewhere("planner.world.changing_maps:with_phases")(self, phases, plan_on)
+
+    def with_moving_threats(self, threats: Iterable[Any], plan_on: str | None = None) -> World:
+        """The world with threats that move, beside its own.
+
+        Args:
+            threats: each with the keys of a scenario: `{"walk": 0.2, "h": 0.3, "count": 6}`, or
+                `{"patrol": [[0, 0], [0, 1]], "h": 1}`; `{"walk": 0.5, "h": "threats"}`: each dangerous cell becomes a
+                walker with its p.
+            plan_on: "patrols": robots plan on p joined with the long-run cells of the threats with a route; "joined":
+                of all of them; "own": on p alone. None: "patrols" ("joined" before release 0.4).
+
+        Raises WorldError for invalid threats, a world without a known map, or robot types.
+        """
+        return _elsewhere("planner.world.features:with_movers")(self, threats, plan_on)
+
+    def with_latent_hazard(self, kind: str, q: ArrayLike, h: ArrayLike = 1.0, learn: bool = False) -> World:
+        """The world with hazards that exist or not for a whole run, instead of its threats; robots plan on q * h.
+
+        Args:
+            kind: "persistent"; "consumed": the first hit removes it; "independent": every visit is drawn, from q * h.
+            q: probability that the hazard exists. h: probability that a visit destroys the robot if it does. Numbers,
+                or arrays `[H, W]`.
+            learn: robots learn from their visits; `with_sensor_range` also gives them detectors.
+
+        Raises WorldError for invalid probabilities, or beside other uncertainty or robot types.
+        """
+        return _elsewhere("planner.world.changing_maps:with_hazard")(self, kind, q, h, learn)
+
+    def with_maps(self, maps: Sequence[ArrayLike] | NDArray, plan_on: float | None = None) -> World:
+        """The world with equally likely maps `[M, H, W]` of p, one of which is true in each run.
+
+        `plan_on`: None: robots plan on the mean, cell by cell; 0.9: on the 90 % quantile. Raises WorldError for maps
+        with other obstacles or another shape, invalid probabilities, or beside other uncertainty or robot types.
+        """
+        return _elsewhere("planner.world.changing_maps:with_maps")(self, maps, plan_on)
+
+    def with_spread(self, kind: str, amount: float, by: str = "common", plan_on: float | None = None) -> World:
+        """The world with uncertain threats: the true p of each run is drawn around them.
+
+        Args:
+            kind: "lognormal", `amount` the standard deviation of log p; or "beta", `amount` an effective sample size.
+            by: "common": one number for the whole map; "level": one for each of its threat levels, at most 16.
+            plan_on: as in `with_maps`; the mean is the world's own threat.
+
+        Raises WorldError for invalid arguments, or beside other uncertainty or robot types.
+        """
+        return _elsewhere("planner.world.changing_maps:with_spread")(self, kind, amount, by, plan_on)
+
+    def with_true_map(self, true_map: World | ArrayLike, sensor_range: Any = 0) -> World:
+        """The world as the robots' prior map; `true_map` is p `[H, W]` of their visits, NaN = obstacle, or a world.
+
+        `sensor_range`: in cells; 0: they learn nothing, and the obstacles must be the same. Raises WorldError.
+        """
+        return _elsewhere("planner.world.features:with_truth")(self, true_map, sensor_range)
+
+    def with_prior_map(self, p: float, obstacles: str = "unknown", sensor_range: Any = 0) -> World:
+        """The world as the true map of robots whose prior map has every cell free, with threat p.
+
+        `obstacles="known"`: the prior map has the obstacles. With `with_maps` the true map is the drawn one. Raises
+        WorldError.
+        """
+        return _elsewhere("planner.world.features:with_prior")(self, p, obstacles, sensor_range)
+
+    def with_sensor_range(self, sensor_range: Any) -> World:
+        """The world with other sensors, of robots without a known map. Raises WorldError.
+
+        With learned hazards: a detector, `{range, sight, detect, false_alarm}`.
+        """
+        return _elsewhere("planner.world.features:with_sense")(self, sensor_range)
+
+    def to_networkx(self) -> Any:
+        """The free cells as a `networkx.DiGraph`: nodes (row, col) with `threat` and `pos` (metres).
+
+        An edge into a cell has `cost` after eq. (3), in the integers of SPEC section 3 (no quantisation), and
+        `hazard = -log(1 - p)`, the additive form of the survival probability.
+        """
+        return _elsewhere("planner.world.levels:to_networkx")(self)
 
     def to_cells(self, points: ArrayLike) -> NDArray[np.int64]:
         """(row, col) int64 `[..., 2]` of the cells that hold points (x, y) in metres; possibly off the map."""

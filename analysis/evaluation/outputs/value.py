@@ -1,4 +1,4 @@
-"""What is found of what the cells are worth, in the words of the field that asks (SPEC section 13).
+"""Expected value covered, found and left (SPEC section 13).
 
 The open loop's figures are exact. In the closed loop every rollout keeps how often each cell was visited and survived,
 up to MOST_PASSES times: `P(found in c) = sum_n P(n or more) d (1 - d)^(n - 1)`, from integer counts. Of further visits
@@ -9,7 +9,7 @@ rounded down or up. The mean counts them so; the interval's lower end does witho
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
@@ -25,7 +25,7 @@ from analysis.statistics.variance_reduction import LEAST, CommonLuck, tally_mean
 from analysis.theory.exact import Worth, open_loop_found
 from analysis.theory.upper_bound import MOST_CELLS, trimmed, value_bound
 from analysis.utils.tables import make_table
-from planner.arguments import argument, check_word
+from planner.arguments import argument
 from planner.errors import UsageError
 from planner.files import Json
 from planner.formatting import at_least_words, percent
@@ -34,13 +34,12 @@ from planner.rollouts.exact_tree import Tree
 from planner.rollouts.threshold_classes import luck_classes
 from planner.simulator.state import MOST_PASSES
 from planner.tally import Tally
-from planner.world.scenario import METRICS
 from planner.world.world import World
 
 if TYPE_CHECKING:
     from analysis.page.maps import CellLayer
 
-# Value covered, found and left, and what missions are judged by beside it, for every field's words (SPEC 13).
+# Value covered, found and left, and the figures beside it, of every field (SPEC 13).
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,14 +47,13 @@ class ValueFigures:
     """Value covered, found and left. Axis `N` = H * W cells.
 
     Attributes:
-        metrics: in whose words. world: the map. worth: of its cells.
+        world: the map. worth: of its cells.
         covered, found: expected value of the cells visited, and of what is found.
         covered_by_cell, found_by_cell: float64 `[N]`, chance that the cell is visited, that what is in it is found.
         remainder: of `found`, not counted by visit. most: expected value that no strategy exceeds, or None.
         tally: of the evaluation. losses: expected robots lost. robots_left: P(at least 1, ..., K are left at the end).
     """
 
-    metrics: str
     world: World
     worth: Worth
     covered: Estimate
@@ -120,7 +118,6 @@ class ValueFigures:
         shares = {name: getattr(self, name).to_json() for name in ("covered", "found", "left")}
         route = self.route_left
         return {
-            "metrics": self.metrics,
             "total": self.worth.total,
             **shares,
             "remainder": self.remainder,
@@ -147,9 +144,7 @@ class ValueFigures:
         }
 
 
-# The value output in words and as a table: those of coverage planners, of search and rescue, of mine clearance.
-
-TITLES = {"coverage": "What the cells are worth", "search": "Search", "clearance": "Clearance"}
+# The value output in words and as a table.
 
 
 def amount(value: float) -> str:
@@ -158,10 +153,10 @@ def amount(value: float) -> str:
 
 
 def value_table(value: ValueFigures) -> Table:
-    """The field's own figures first, then those that every field asks for."""
-    table = make_table(("", "expected", "95 % interval"), TITLES[value.metrics])
-    for name, shown, interval in (*ROWS[value.metrics](value), *_common(value)):
-        table.add_row(name, shown, interval)
+    """Value covered, found and left first, then the other figures."""
+    table = make_table(("", "expected", "95 % interval"), "Value of the cells")
+    for row in (*_coverage(value), *_common(value)):
+        table.add_row(*row)
     return table
 
 
@@ -184,29 +179,6 @@ def _coverage(value: ValueFigures) -> Rows:
     yield _row("value left", value.left)
     if value.route_left is not None:
         yield "value left on the route", amount(value.route_left[0]), ""
-
-
-def _search(value: ValueFigures) -> Rows:
-    """Koopman's: success = containment x detection."""
-    yield _row("containment (POC): in a cell that is searched", value.covered, value.scale, chance=True)
-    detection = "" if value.detection is None else percent(value.detection, 2)
-    yield "detection (POD): found, if it is in one", detection, ""
-    yield _row("success (POS) = POC x POD", value.found, value.scale, chance=True)
-    if value.route_left is not None:
-        left = min(value.scale * value.route_left[0], 1.0)
-        yield "chance that it lies on the route and is not found", percent(left, 2), ""
-
-
-def _clearance(value: ValueFigures) -> Rows:
-    yield _row("percent clearance", value.found, 1.0 / value.worth.total, chance=True)
-    yield _row("expected remaining", value.left)
-    if value.route_left is not None:
-        total, worst = value.route_left
-        yield "expected remaining on the route", amount(total), ""
-        yield "residual risk of the route", f"{percent(min(worst, 1.0), 2)} .. {percent(min(total, 1.0), 2)}", "bounds"
-
-
-ROWS: dict[str, Callable[[ValueFigures], Rows]] = {"coverage": _coverage, "search": _search, "clearance": _clearance}
 
 
 def _common(value: ValueFigures) -> Rows:
@@ -232,30 +204,12 @@ def _shown(robots: int) -> set[int]:
     return {1, -(-robots // 2), robots}
 
 
-def _coverage_sentence(value: ValueFigures) -> str:
+def _sentence(value: ValueFigures) -> str:
+    """The answer in one sentence."""
     return (
         f"Of {amount(value.worth.total)} in all, {amount(value.covered.mean)} are covered and "
         f"{amount(value.found.mean)} found on average; {amount(value.left.mean)} are left."
     )
-
-
-def _search_sentence(value: ValueFigures) -> str:
-    shown = [percent(min(of.mean * value.scale, 1.0)) for of in (value.found, value.covered)]
-    pod = "nothing is searched" if value.detection is None else f"detection {percent(value.detection)}"
-    return f"Probability of success {shown[0]}: containment {shown[1]}, {pod}."
-
-
-def _clearance_sentence(value: ValueFigures) -> str:
-    cleared = percent(value.found.mean / value.worth.total)
-    return f"{cleared} are cleared on average; {amount(value.left.mean)} of {amount(value.worth.total)} remain."
-
-
-SENTENCES: dict[str, Callable[[ValueFigures], str]] = {
-    "coverage": _coverage_sentence,
-    "search": _search_sentence,
-    "clearance": _clearance_sentence,
-}
-"""The answer in one sentence, by whose words."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,12 +217,11 @@ class Value(ValueFigures, Output):
     """The figures, measured beside the rollouts that were done."""
 
     @classmethod
-    def check(cls, asked: str, world: World) -> None:
-        check_word("metrics", asked, METRICS)
-        world.check_settled("the value covered and found", ", or `value`, `detect`, `route` and `metrics`")
+    def check(cls, asked: bool, world: World) -> None:
+        world.check_settled("the value covered and found", ", or `value`, `detect` and `route`")
 
     @classmethod
-    def measure(cls, asked: str, run: Run) -> Iterator[Self]:
+    def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
         worth, tally, most = Worth.of(run.world), run.last.tally, None
         bounded = not run.choices.first_only and run.world.doubt is None and run.plan.state is None
         bounded = bounded and run.plan.bearing.is_plain
@@ -283,14 +236,14 @@ class Value(ValueFigures, Output):
             covered, known = (exactly(float(worth.value @ chance)) for chance in (visited, found))
             lost = exactly(run.exact.expected_losses)
             alive = [exactly(float(chance)) for chance in at_least(run.exact.alive_chance)]
-            yield cls(asked, run.world, worth, covered, known, visited, found, 0.0, most, tally, lost, alive)
+            yield cls(run.world, worth, covered, known, visited, found, 0.0, most, tally, lost, alive)
             return
         if tree is not None and tree.masses is not None and worth.is_plain:
             n, chances = tree.masses.rollouts, (tree.masses.covered_visited, tree.masses.covered_survived)
             visited, found = (of / n for of in chances)
             found = worth.detect * found
             covered, known = (exactly(float(worth.value @ chance)) for chance in (visited, found))
-            yield cls(asked, run.world, worth, covered, known, visited, found, 0.0, most, tally, *_left(tree.tree))
+            yield cls(run.world, worth, covered, known, visited, found, 0.0, most, tally, *_left(tree.tree))
             return
         run.doing("value covered and found")
         units = Units.of(worth)
@@ -309,7 +262,7 @@ class Value(ValueFigures, Output):
             if tree.masses is not None:
                 visited = tree.masses.covered_visited / tree.masses.rollouts
                 covered = exactly(float(worth.value @ visited))
-        yield cls(asked, run.world, worth, covered, known, visited, found, rest, most, tally, lost, alive)
+        yield cls(run.world, worth, covered, known, visited, found, rest, most, tally, lost, alive)
 
     def as_json(self) -> Json:
         return self.to_json()
@@ -320,8 +273,8 @@ class Value(ValueFigures, Output):
             "the interval has room for less"
         )
         return Blocks(
-            leads=[SENTENCES[self.metrics](self)], tables=[value_table(self)], notes=[beyond] * (self.remainder > 0),
-            layers={"left.png": self.layer}, settings={"metrics": self.metrics},
+            leads=[_sentence(self)], tables=[value_table(self)], notes=[beyond] * (self.remainder > 0),
+            layers={"left.png": self.layer},
         )  # fmt: skip
 
     def layer(self) -> CellLayer:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
+from by_map import MAP_FIGURES, ByMap, Columns
 from numpy.typing import NDArray
 from rich.table import Table
 
@@ -17,7 +20,6 @@ from analysis.report.model import Part, Report
 from analysis.statistics.estimates import Estimate, over_maps
 from analysis.sweeps.cases import Case, check_maps, generated_case
 from analysis.sweeps.engine import Finished, Swept
-from analysis.sweeps.results import MAP_FIGURES, ByMap, Columns
 from analysis.sweeps.store import Store
 from analysis.theory.upper_bound import any_strategy
 from analysis.utils.notes import ProgressCallback
@@ -124,7 +126,7 @@ class Study(Swept):
         rollouts: of each map and setting. finished: how the run ended.
     """
 
-    reported_by = "analysis.experiments.policies:report"
+    reported_by = "policies_study:report"
 
     columns: dict[Setting, Columns]
     bounds: dict[tuple[Kind, int], NDArray[np.float64]]
@@ -213,6 +215,8 @@ def _case(setting: Setting, seed: int) -> Case:
 def _bounds(maps: int, seed: int, processes: int | None) -> dict[tuple[Kind, int], NDArray[np.float64]]:
     places: list[Place] = [(kind, robots, seed + n) for kind in KINDS for robots in TEAMS for n in range(maps)]
     count = wanted_processes(processes, len(places))
+    here = str(Path(__file__).parent)  # where the processes find `bound_of`
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [here, os.environ.get("PYTHONPATH")]))
     found = dict(answers(bound_of, places, count, lambda place: f"bound of {place[0]} map {place[2]}"))
     return {
         (kind, robots): np.array([found[kind, robots, seed + n] for n in range(maps)])
@@ -229,7 +233,7 @@ def bound_of(place: Place) -> float:
     return any_strategy(world, starts, flow=True).cells / int(world.accessible(starts).sum())
 
 
-# What `mrac-jax reproduce policies` says: gains, fronts, the maps where it is worse.
+# The report: gains, fronts, the maps where it is worse.
 
 LISTED = 6
 """Maps where it is worse that a line of the terminal names."""

@@ -8,6 +8,7 @@ from functools import partial
 from itertools import product
 from typing import Any, get_args
 
+from by_map import MAP_FIGURES, ByMap, Columns
 from rich.table import Table
 
 from analysis.page.document import Chart, Series
@@ -16,7 +17,6 @@ from analysis.report.model import Part, Report
 from analysis.statistics.estimates import Estimate, over_maps
 from analysis.sweeps.cases import Case, Generated, canonical, check_maps
 from analysis.sweeps.engine import Finished, Swept
-from analysis.sweeps.results import MAP_FIGURES, ByMap, Columns
 from analysis.sweeps.store import Store
 from analysis.utils.notes import ProgressCallback
 from analysis.utils.tables import csv_text, make_table
@@ -136,7 +136,7 @@ class Study(Swept):
         rollouts: of each map and setting. seed: of the first map. finished: how the run ended.
     """
 
-    reported_by = "analysis.experiments.information_value:report"
+    reported_by = "information_value:report"
 
     question: Question
     teams: tuple[Team, ...]
@@ -197,7 +197,7 @@ def study_knowing(
     return Study(asked, teams, columns, rollouts, seed, finished)
 
 
-# What `mrac-jax reproduce online` and `moving` say: coverage by way, what lies between ways, over the team.
+# The report: coverage by way, what lies between ways, over the team.
 
 NOTE = (
     "Visited, % of the accessible cells, and differences in points on the same maps and luck; ± half the 95 % interval "

@@ -11,8 +11,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from mrac_jax.environment.area_env import AreaEnv, make_env, runs_of
-from mrac_jax.environment.coverage_env import CoverageEnv, Told, checked_actions
+from mrac_jax.env.area_env import AreaEnv, make_env, runs_of
+from mrac_jax.env.coverage_env import CoverageEnv, Told, checked_actions
 from planner.world.world import World
 
 ID = "mrac/Coverage-v0"

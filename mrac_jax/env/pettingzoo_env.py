@@ -9,8 +9,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from mrac_jax.environment.area_env import AreaEnv, runs_of
-from mrac_jax.environment.coverage_env import CoverageEnv, Told, check_agents, checked_actions
+from mrac_jax.env.area_env import AreaEnv, runs_of
+from mrac_jax.env.coverage_env import CoverageEnv, Told, check_agents, checked_actions
 
 Dicts = tuple[dict[str, NDArray], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]
 

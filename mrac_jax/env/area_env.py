@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mrac_jax.environment.coverage_env import (
+from mrac_jax.env.coverage_env import (
     ACTIONS,
     Box,
     CoverageEnv,

@@ -7,7 +7,7 @@ from typing import Any, Literal, get_args
 
 from numpy.typing import ArrayLike
 
-from mrac_jax.environment.area_env import Actions, AreaEnv, make_env
+from mrac_jax.env.area_env import Actions, AreaEnv, make_env
 from planner.arguments import argument, check_word, whole
 from planner.errors import UsageError
 from planner.settings import Policy
@@ -46,7 +46,7 @@ def env(
         robots, starts: as of `plan`.
         actions: "moves"; "areas": a step goes on until a robot needs an area, which is its action, and the planner
             drives it there and over it. Observed are its offers, float32 `[offers, 8]`
-            (`mrac_jax.environment.area_env`).
+            (`mrac_jax.env.area_env`).
         view: how many rows and columns away a robot sees; None: the whole map.
         rule: by which robots travel and cover, and offers are in order: a policy of `plan`; None: "mrac".
         offers: areas that a robot is shown at most; None: 8.
@@ -76,15 +76,15 @@ def env(
     }
     made = make_env(world, robots, **given, offers=offers, max_steps=max_steps)
     if face == "vector":
-        from mrac_jax.environment.gymnasium_env import TeamVectorEnv
+        from mrac_jax.env.gymnasium_env import TeamVectorEnv
 
         return TeamVectorEnv(made, num_envs=num_envs)
     if face == "gymnasium":
-        from mrac_jax.environment.gymnasium_env import TeamEnv
+        from mrac_jax.env.gymnasium_env import TeamEnv
 
         return TeamEnv(made, render_mode=render_mode)
     if face == "pettingzoo":
-        from mrac_jax.environment.pettingzoo_env import CoverageParallelEnv
+        from mrac_jax.env.pettingzoo_env import CoverageParallelEnv
 
         return CoverageParallelEnv(made, render_mode)
     if isinstance(made, AreaEnv):

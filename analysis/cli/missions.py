@@ -1,0 +1,362 @@
+"""The commands that make and drive plans, `plan`, `export`, `drive`, and those of recordings, `record`, `inspect`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+from analysis.cli.console import (
+    CHECK_FAILED,
+    DONE,
+    INTERRUPTED,
+    check_files,
+    deliver,
+    load_or_make_plan,
+    may_replace,
+    output_console,
+    print_json,
+    print_plan,
+    show,
+)
+from analysis.cli.options import ANY_POLICY, INPUT, PLANNING, THE_TEAM, Given, command, file, of, option
+from analysis.recording.names import SUFFIX, check_name, growing_name, layout_name, left_over, state_name
+from analysis.utils.notes import say
+from planner.arguments import FRACTION, whole
+from planner.errors import UsageError
+from planner.settings import OPTIONS, OUTPUT, ROLLOUTS, TIMELINE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from analysis.recording.record import Request
+    from planner.formatting import Pace
+
+DRIVE, RECORD = "Drive", "Record"
+ALTITUDE = option(OUTPUT, "qgc: metres above take-off, 0 for ground robots (default: 20).", "number")
+
+
+@command(
+    DRIVE, THE_TEAM, PLANNING, "deadline state",
+    policy=ANY_POLICY,
+    out="Write the plan file (JSON) to this file.",
+    waypoints=option(OUTPUT, "Write paths: .csv .plan .yaml .geojson .kml .gpx .tif, as `export` does.", "path"),
+    altitude=ALTITUDE,
+    seconds=of(
+        "seconds", group="Planning", help="End the search (--plan-for open_loop, --policy best) after this time."
+    ),
+    force=OPTIONS["force"],
+    json="Print the plan file's JSON object.",
+)  # fmt: skip
+def plan(source: INPUT, /, given: Given) -> int:
+    """The plan of a team: print it, and write it as a file or as waypoints."""
+    from analysis.exporting import choose_format, export, make_mission
+    from analysis.inputs import read_files
+
+    out, waypoints, state = given.out, given.waypoints, given.state
+    if given.altitude is not None and waypoints is None:
+        raise UsageError("--altitude without --waypoints", fix="add --waypoints")
+    check_files(source, out, waypoints, beside=(state,))
+    if not may_replace(out, given.force):
+        return DONE
+    form = None if waypoints is None else choose_format(waypoints, None, "waypoints")
+    first = None if form is None else form.check
+    world, made, notes = load_or_make_plan(given.asked(source), state=state, seconds=given.seconds, first=first)
+    say(notes)
+    written = [] if out is None else [out]
+    if waypoints is not None and form is not None:
+        mission = make_mission(world, made, given.altitude, given.speed)
+        written += export(mission, waypoints, form, spare=read_files(source, state, out))
+        say(mission.unknown(form.figures))
+    if out is not None:
+        made.save(out, force=True)
+    if given.json:
+        print_json(made.to_json())
+    else:
+        print_plan(made, world, output_console())
+    say([f"wrote {file}" for file in written])
+    return DONE
+
+
+WAYS = ("qgc", "nav2", "geojson", "kml", "gpx", "csv", "geotiff")
+"""Names of `analysis.exporting.FORMATS`, which `--help` has no time to import."""
+
+
+@command(
+    DRIVE, THE_TEAM, PLANNING, "deadline plan state",
+    policy=ANY_POLICY,
+    plan="Export this plan file instead of planning.",
+    to=option(OUTPUT, "Format (default: by the suffix of --out).", "", *WAYS),
+    altitude=ALTITUDE,
+    out=of("out", help="File or folder to write.", default=...),
+)  # fmt: skip
+def export(source: INPUT, /, given: Given) -> int:
+    """A plan as a file for ground stations, nav2 and GIS.
+
+    qgc and nav2 write one file per robot: FILE-0.plan, FILE-1.plan, or robot-0.plan in a folder. All but nav2, csv and
+    geotiff need a georeferenced map. Robots of qgc drive at --speed, or a cell per --step-seconds (default: 3 m/s).
+    """
+    from analysis.exporting import choose_format, make_mission
+    from analysis.exporting import export as export_mission
+    from analysis.inputs import read_files
+
+    form, asked = choose_format(given.out, given.to), given.asked(source)
+    world, made, notes = load_or_make_plan(asked, given.plan, given.state)
+    say(notes)
+    mission = make_mission(world, made, given.altitude, given.speed)
+    written = export_mission(mission, given.out, form, spare=read_files(source, given.plan, given.state))
+    say([*mission.unknown(form.figures), *(f"wrote {file}" for file in written)])
+    return DONE
+
+
+@command(
+    DRIVE, THE_TEAM, PLANNING, "deadline plan",
+    policy=ANY_POLICY,
+    plan="Drive by this plan file instead of planning.",
+    state=of("state", group=OUTPUT, help="Keep the mission in this file (.json), and resume it if the file exists."),
+    patience=option(
+        "Planning", "Steps without progress before a robot's work is reassigned (default: 20).", "whole"
+    ),
+    gain=option(
+        "Planning", "Smallest share of the way that a change of target must save (default: 1, never).", "number"
+    ),
+    outlook=option(ROLLOUTS, "Print expected results at the start and after changes.", "flag", default=False),
+)  # fmt: skip
+def drive(source: INPUT, /, given: Given) -> int:
+    """A mission: orders on standard output, reports on standard input, one JSON object a line.
+
+    INPUT may be a plan file that `plan INPUT --out` wrote: it names its map.
+    Reports: {"type": "report", "robot": 0, "cell": [3, 4]}, with "stopped", "found", "moves_left", "seen" or "step"
+    where they apply; {"type": "step"} ends a step before all have reported; {"type": "close", "cells": [[3, 5]]} makes
+    a no-go zone; {"type": "outlook"} and {"type": "orders"} ask. An invalid line is answered by an error and changes
+    nothing. The command ends if --state cannot be written, and resumes from there. docs/mission.md has all keys.
+    """
+    from analysis.inputs import check_team
+    from analysis.mission_protocol import Dialogue, DrivenMission
+    from planner.mission.map_updates import ended
+    from planner.mission.mission import PATIENCE
+
+    state, gain = given.state, given.gain
+    whole(1).check("patience", given.patience, optional=True)
+    FRACTION.check("gain", gain, optional=True)
+    check_files(source, state, suffix=".json", beside=(given.plan,))
+    if sys.stdin is None:
+        raise UsageError("standard input is closed", expected="reports there, a JSON object a line")
+    asked = given.asked(source)
+    world, made, notes = load_or_make_plan(asked, given.plan)
+    say(notes)
+    how: dict[str, Any] = {"patience": given.patience or PATIENCE, "gain": 1.0 if gain is None else gain}
+    if state is not None and state.exists():
+        over = ended(state, world, made)
+        if over is not None:
+            _tell([{"type": "end", **over}], world.pace)
+            return DONE
+        mission = DrivenMission.resume(state, world, made, **how)
+        check_team(asked, mission.robots, state)
+        say([f"going on from {state}, {world.pace.step(mission.step)}"])
+    else:
+        mission = DrivenMission(world, made, **how)
+    if given.outlook:
+        mission.check_foreseen()  # before any order
+    talk = Dialogue(mission, state, lambda: mission.outlook().to_json(), unasked=given.outlook)
+    _tell(talk.begin(), world.pace)
+    for line in _lines(sys.stdin.buffer):
+        _tell(talk.hear(line), world.pace)
+    return DONE
+
+
+def _lines(stream: BinaryIO) -> Iterator[str]:
+    """Lines, each as far as it is read: of a longer one the rest is no line of its own."""
+    from analysis.mission_protocol import LONGEST
+
+    while line := stream.readline(LONGEST + 2):
+        rest = line
+        while len(rest) > LONGEST and not rest.endswith(b"\n"):
+            rest = stream.readline(LONGEST + 2)
+        yield line.decode("utf-8", "replace")
+
+
+def _tell(lines: Iterable[dict[str, Any]], pace: Pace) -> None:
+    from analysis.report.answer import with_minutes
+
+    for line in lines:
+        print(json.dumps(with_minutes(line, pace), allow_nan=False, separators=(",", ":")), flush=True)  # noqa: T201
+
+
+# Recordings.
+
+RECORDING = "Recording"
+EVALUATED = 4096
+"""Rollouts that are evaluated by default."""
+
+
+@command(
+    RECORD, THE_TEAM, PLANNING, "deadline plan state",
+    ids=option(RECORDING, 'Record these rollouts: "0,5,7-9".', "text"),
+    pick=option(
+        RECORDING, "Record the worst, median, best, random or quantile:0.05 rollout by coverage; several by commas "
+        "(default: median; not with --ids).", "text",
+    ),
+    rollouts=of(
+        "rollouts", group=RECORDING,
+        help="Number of evaluated rollouts (default: 4096; with --ids and without --outcomes none).",
+    ),
+    outcomes=option(RECORDING, "Keep the outcome of every evaluated rollout.", "flag", default=False),
+    policy=ANY_POLICY,
+    plan="Record this plan file instead of planning.",
+    loop=OPTIONS["loop"], seed=OPTIONS["seed"], engine=OPTIONS["engine"], threat_checks=OPTIONS["threat_checks"],
+    state_at=option(OUTPUT, "With one --ids: write its state after this step to NAME.state.json.", "whole"),
+    picture=option(OUTPUT, "Write a picture of the first rollout's end (.png).", "path"),
+    animation=option(OUTPUT, "Write an animation of the first rollout (.gif).", "path"),
+    force=OPTIONS["force"],
+    json=OPTIONS["json"],
+    out=of("out", help="Recording to write (.mcap).", default=...),
+)  # fmt: skip
+def record(source: INPUT, /, given: Given) -> int:
+    """Rollouts as an MCAP file for Foxglove, Lichtblick and Rerun.
+
+    The file holds everything that `inspect --replay` needs. A layout for Foxglove and Lichtblick is written beside it,
+    as NAME.layout.json.
+    """
+    from analysis.recording.pictures import save_pictures
+    from analysis.recording.record import record as record_rollouts
+    from analysis.recording.record import scenario_text, state_of_rollout
+    from analysis.recording.replay import interrupted_lines
+    from analysis.recording.viewers.topics import Stage, write_layout
+    from analysis.utils.progress import show_progress
+
+    out, plan, state, state_at = given.out, given.plan, given.state, given.state_at
+    cut_to = None if state_at is None else state_name(out)
+    check_outputs(source, (plan, state), out, given.picture, given.animation, cut_to)
+    if not may_replace(out, given.force):
+        return DONE
+    if plan is None:
+        _request(given, external=given.plan_for == "open_loop")
+    world, made, notes = load_or_make_plan(given.asked(source), plan, state)
+    own = plan is None and state is None
+    request = _request(given, made.is_foreign, world.pace.seconds)
+    request = replace(request, made=own, scenario=scenario_text(source))
+    cut = None if state_at is None else state_of_rollout(world, made, request, state_at)
+    say(notes)
+    try:
+        with show_progress() as progress:
+            done = record_rollouts(world, made, request, out, progress=progress, doing=progress.doing)
+    except KeyboardInterrupt:
+        say([nothing_recorded(out)])
+        return INTERRUPTED
+    layout = layout_name(done.path)
+    write_layout(layout, world, len(made.robots))
+    written = [done.path, layout]
+    if cut is not None:
+        written.append(state_name(done.path))
+        cut.save(written[-1], force=True)
+    told = [*interrupted_lines(done, out), *(f"wrote {file}" for file in written)]
+    status = deliver(done, as_json=given.json, notes=told)
+    drawn = [str(file) for file in (given.picture, given.animation) if file is not None]
+    if drawn and not done.partial:
+        say([f"drawing {' and '.join(drawn)} ..."])
+        stage = Stage(world, made, request.loop, request.seed, request.first_only)
+        try:
+            for drawing in save_pictures(done.first, stage, given.picture, given.animation):
+                say([f"wrote {drawing}"])
+        except KeyboardInterrupt:
+            say([f"interrupted while drawing; {done.path} is whole"])
+            return INTERRUPTED
+    return status
+
+
+def _request(given: Given, external: bool, step_seconds: float | None = None) -> Request:
+    """The rollouts to record, checked, but for the plan's origin. `external`: the plan has no areas."""
+    from analysis.recording.contents import MOST_RECORDED
+    from analysis.recording.record import Request, parse_ids, parse_picks
+
+    if given.ids is not None and given.pick is not None:
+        raise UsageError("both --ids and --pick are given", expected="one of them")
+    few = given.ids is not None and not given.outcomes
+    if given.rollouts is not None and not 1 <= given.rollouts <= 2**32:
+        raise UsageError(f"--rollouts {given.rollouts}", expected=f"1 to {2**32}")
+    request = Request(
+        ids=() if given.ids is None else parse_ids(given.ids, MOST_RECORDED),
+        picks=parse_picks("median" if given.pick is None else given.pick) if given.ids is None else (),
+        evaluated=(0 if few else EVALUATED) if given.rollouts is None else given.rollouts,
+        outcomes=given.outcomes,
+        loop=given.loop or ("open" if external else "closed"),
+        seed=given.seed or 0,
+        engine=given.engine,
+        first_only=given.threat_checks == "first_visit",
+        step_seconds=1.0 if step_seconds is None else step_seconds,
+    )
+    request.check()
+    return request
+
+
+def nothing_recorded(out: Path) -> str:
+    """The note on an interruption before a rollout is complete; a second one can leave the growing file."""
+    growing = growing_name(out)
+    if growing.exists():
+        return f"interrupted: {growing} holds the rollouts so far; `mrac-jax inspect --repair OUT {growing}` saves them"
+    return "interrupted: nothing was recorded"
+
+
+def check_outputs(
+    source: str,
+    beside: tuple[Path | None, ...],
+    out: Path,
+    picture: Path | None,
+    animation: Path | None,
+    cut_to: Path | None,
+) -> None:
+    """Refuse files that cannot be written, have other names than they should, or are an input, before any work."""
+    for one, suffix in ((out, SUFFIX), (picture, ".png"), (animation, ".gif")):
+        if one is not None:
+            check_name(one, suffix)
+    check_files(source, out, layout_name(out), picture, animation, cut_to, beside=beside)
+    growing = growing_name(out)
+    if growing.is_symlink() or growing.exists():
+        raise left_over(growing)
+
+
+@command(
+    RECORD,
+    events=option(
+        TIMELINE, "Events to list for each rollout: at most 40 (main), all, or none (default: main).", "",
+        "main", "all", "none", default="main",
+    ),
+    replay=option(
+        ROLLOUTS, "Run the recorded rollouts again, and report whether every event is the same (exit status 1 if not).",
+        "flag", default=False,
+    ),
+    engine=of("engine", rare=False, help="With --replay: simulator to use (default: auto)."),
+    all=option(ROLLOUTS, "With --replay: run every evaluated rollout.", "flag", default=False),
+    repair=option(OUTPUT, "Save the intact part of a recording to this file (exit status 1 if some is lost).", "path"),
+    json=OPTIONS["json"],
+)  # fmt: skip
+def inspect(path: file("FILE", "A recording (.mcap)."), /, given: Given) -> int:  # type: ignore[valid-type]
+    """Contents of a recording: topics, attachments, and a timeline of each rollout."""
+    from analysis.recording import replay
+    from analysis.utils.progress import show_progress
+
+    if given.repair is not None and given.replay:
+        raise UsageError("both --replay and --repair are given", expected="one of them")
+    replayed = {"--engine": given.engine != "auto", "--all": given.all}
+    for name in (name for name, said in replayed.items() if said and not given.replay):
+        raise UsageError(f"{name} without --replay", fix="add --replay, or leave it out")
+    if given.replay:
+        with show_progress() as progress:
+            found = replay.replay(path, given.engine, everything=given.all, progress=progress)
+        show(replay.replayed(found), given.json)
+        return DONE if found.identical else CHECK_FAILED
+    if given.repair is not None:
+        from analysis.recording.container import recover
+
+        check_name(given.repair, SUFFIX)
+        check_files(str(path), given.repair, suffix=SUFFIX)
+        saved = recover(path, given.repair)
+        show(replay.recovered(saved), given.json)
+        say([f"wrote {given.repair}"])
+        return DONE if saved.complete else CHECK_FAILED
+    most = {"main": replay.MOST_LINES, "all": None, "none": 0}[given.events]
+    show(replay.inspected(replay.inspect(path), most), given.json)
+    return DONE

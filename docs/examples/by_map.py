@@ -1,0 +1,95 @@
+"""Figures of settings on many maps, map by map, for the studies beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.sampling import RolloutChoices
+from analysis.statistics.variance_reduction import put_right
+from analysis.sweeps.cases import Case
+from analysis.sweeps.engine import Done, Finished, Job, run_cases
+from analysis.sweeps.results import KEPT, figures_of, is_exact
+from analysis.sweeps.store import Memory, Store
+from analysis.utils.notes import ProgressCallback
+
+SettingName = TypeVar("SettingName")
+Columns = dict[str, NDArray[np.float64]]
+"""Float64 `[M]` by figure, M maps: means of each map's rollouts, put right by their luck, or exact. "visited" and
+"complete" are fractions, "losses" robots, "time" steps; "se": the standard error of "visited"; "exact": 1 where the
+figures are known exactly."""
+OfMap = tuple[NDArray[np.float64], NDArray[np.float64], bool]
+"""Means and errors of `figures_of`, and whether they are exact."""
+MAP_FIGURES = ("visited", "losses", "time", "complete")
+EXACT_TEAM, EXACT_SECONDS = 2, 0.01
+"""Robots whose tree takes about as long as some hundred rollouts (four take a second a map), and what it may take."""
+
+
+class ByMap(Generic[SettingName]):
+    """The figures of settings, map by map, as they come.
+
+    Args:
+        cases: of a map's number, its settings with the case of each. seed: of the first map and its rollouts.
+        rollouts: of each map and setting. exact: whether the exact values of teams of up to EXACT_TEAM are looked for.
+    """
+
+    def __init__(
+        self, cases: Callable[[int], Iterable[tuple[SettingName, Case]]], seed: int, rollouts: int, exact: bool = False
+    ) -> None:
+        self._cases, self._seed, self._rollouts, self._exact = cases, seed, rollouts, exact
+        self._under_way: dict[Case, tuple[SettingName, int]] = {}
+        self._found: dict[SettingName, dict[int, OfMap]] = {}
+
+    def run(
+        self, maps: int, total: int, store: Store | None, progress: ProgressCallback | None, **where: Any
+    ) -> Finished:
+        """Run `maps` maps, `total` jobs, into the store if there is one.
+
+        `where`: `processes` and `scheduler` of `run_cases`.
+        """
+        held = Memory() if store is None else store
+
+        def take(done: Done) -> None:
+            setting, number = self._under_way.pop(done.job.case)
+            run = held.run(done.keys[0])
+            assert run is not None
+            self._found.setdefault(setting, {})[number] = (*figures_of(run), is_exact(run))
+            if store is None:
+                held.forget(done.keys)
+            if progress is not None:
+                progress(done.jobs, done.total, done.seconds)
+
+        return run_cases(self._jobs(maps), held, total=total, progress=take, **where)
+
+    def _jobs(self, maps: int) -> Iterator[Job]:
+        """Map after map, so that an interruption leaves whole maps."""
+        for number in range(maps):
+            for setting, case in self._cases(number):
+                self._under_way[case] = (setting, number)
+                small = self._exact and case.robots is not None and case.robots <= EXACT_TEAM
+                model = RolloutChoices(seed=self._seed + number)
+                yield Job(case, (model,), self._rollouts, exact_seconds=EXACT_SECONDS if small else 0.0)
+
+    def columns(self, settings: Sequence[SettingName]) -> dict[SettingName, Columns]:
+        """Of the maps, from the first on, that all of these settings have; nothing if there is none."""
+        whole = 0
+        while settings and all(whole in self._found.get(setting, ()) for setting in settings):
+            whole += 1
+        return {
+            setting: _columns([self._found[setting][n] for n in range(whole)], self._rollouts)
+            for setting in settings
+            if whole
+        }
+
+
+def _columns(maps: Sequence[OfMap], rollouts: int) -> Columns:
+    means, errors, exact = (np.array(of_all) for of_all in zip(*maps, strict=True))
+    names, freedom = ("visited", "alive", "time", "complete"), len(maps) * (rollouts - 1)
+    found = {name: put_right(means[:, KEPT[name]], errors[:, KEPT[name]], freedom) for name in names}
+    (visited, se), (alive, _), (time, _), (complete, _) = (found[name] for name in names)
+    losses = means[:, KEPT["robots"], 0] - alive
+    figures = {"visited": visited, "losses": losses, "time": time, "complete": complete}
+    return figures | {"se": se, "exact": exact.astype(np.float64)}
