@@ -107,8 +107,8 @@ def test_tolerances_are_those_of_the_plain_numbers() -> None:
 
 
 def test_transitions_are_those_of_the_plain_rules() -> None:
-    """20,000 steps of the team, event for event: places, rewards, who is lost, what was visited, the end."""
-    env, seed, rollouts = made(worth=2.5, max_steps=STEPS), 2**40 + 11, np.arange(300)
+    """7,000 steps of the team, event for event: places, rewards, who is lost, what was visited, the end."""
+    env, seed, rollouts = made(worth=2.5, max_steps=STEPS), 2**40 + 11, np.arange(100)
     states, draw = begin(env, seed, rollouts), np.random.default_rng(3)
     starts, bears = (env.starts @ [COLS, 1]).tolist(), tolerances(seed, rollouts, ROBOTS).tolist()
     twins = [Twin(env.world, starts, of, 2.5, STEPS) for of in bears]
@@ -126,7 +126,7 @@ def test_transitions_are_those_of_the_plain_rules() -> None:
             assert twin.visited == set(np.flatnonzero(visited[place]).tolist())
             taken += 1
         done |= over
-    assert done.all() and taken > 2e4
+    assert done.all() and taken > 6e3
     assert len({tuple(twin.alive) for twin in twins}) > ROBOTS
 
 
@@ -312,7 +312,9 @@ def test_offers_are_in_the_order_of_the_rule() -> None:
         assert sorted(range(200), key=keys.__getitem__) == sorted(range(200), key=lambda one: rule.key(offers[one]))
 
 
-@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize(
+    "rule", [pytest.param(rule, marks=() if rule in ("mrac", "per_cell") else pytest.mark.slow) for rule in RULES]
+)
 def test_so_it_is_when_it_is_judged(rule: str) -> None:
     """On the luck of plans, id for id: none ahead, none behind; another process would find the same."""
 
@@ -321,7 +323,7 @@ def test_so_it_is_when_it_is_judged(rule: str) -> None:
         return np.ones(len(seen), np.int64)
 
     given: dict[str, Any] = {"rule": rule, "offers": 5}
-    count = 60 if rule == "mrac" else 30
+    count = 30
     visited, lost, steps = roll_policy(AreaEnv(world(), 3, **given), first, 4, 20)
     found = make_singles(world(), mrac.plan(world(), 3, policy=rule), RolloutChoices(rollouts=count, seed=4))(0, count)
     sent = pickle.loads(pickle.dumps(AreaEnv(world(), 3, **given)))
