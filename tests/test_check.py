@@ -528,7 +528,7 @@ def test_evaluate_says_what_the_independent_simulator_found(
     plan = tmp_path / "plan.json"
     fixture.plan.save(plan)
     world = str(FOLDER / known["world"])
-    found = answer_of(capsys, "evaluate", world, "--plan", str(plan), "--rollouts", "1")
+    found = answer_of(capsys, "evaluate", world, "--plan", str(plan), "--rollouts", "1", "--no-advice")
     bounds = found["bounds"]
     open_loop = found["exact"]["open_loop"]
     assert {key: open_loop[key] for key in known["open_loop_exact"]} == pytest.approx(known["open_loop_exact"], **CELLS)
@@ -617,7 +617,7 @@ def test_the_closed_loop_decides_by_the_map_and_loses_by_the_scale() -> None:
 
 
 def test_the_command_and_its_errors(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["evaluate", WORLD, "--robots", "4", "--rollouts", "512", "--exact", "never", "--threat-scale"]
+    words = ["evaluate", WORLD, "--robots", "4", "--rollouts", "512", "--exact", "never", "--no-advice", "--threat-scale"]
     found = answer_of(capsys, *words, "0.5,1,2")
     assert [entry["scale"] for entry in found["threat_scale"]] == [0.5, 1, 2]
     assert found["threat_scale"][1]["coverage"] == found["coverage"]

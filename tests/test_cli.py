@@ -196,7 +196,7 @@ def test_a_map_without_threats_is_noted(tmp_path: Path, capsys: pytest.CaptureFi
 
 def test_out_writes_pictures_plan_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "new" / "folder"
-    assert run(["evaluate", WORLD, "--robots", "3", "--rollouts", "512", "--out", str(folder)]) == 0
+    assert run(["evaluate", WORLD, "--robots", "3", "--rollouts", "512", "--no-advice", "--out", str(folder)]) == 0
     names = {path.name for path in folder.iterdir()}
     assert names == {
         "index.html", "world.png", "covered.png", "losses.png", "distribution.png", "over_time.png", "plan.json",
@@ -574,7 +574,7 @@ def test_interrupted_in_the_deadline_still_prints(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Deadline, "measure", interrupted)
-    found = answer_of(capsys, "evaluate", WORLD, "--rollouts", "4096", "--deadline", "9", status=130)
+    found = answer_of(capsys, "evaluate", WORLD, "--rollouts", "4096", "--deadline", "9", "--no-advice", status=130)
     assert found["partial"] is True
     assert found["rollouts"] == 4096
 
