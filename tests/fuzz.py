@@ -40,6 +40,7 @@ from cyclopts import App
 from PIL import Image
 
 from analysis.cli.app import app, run
+
 SECONDS, MEMORY = 20, 2 * 2**30
 LONG = re.compile(rb"rollouts: *[0-9]{8}")
 """In a sweep's file: so much was asked for that 20 s are too few."""

@@ -617,7 +617,18 @@ def test_the_closed_loop_decides_by_the_map_and_loses_by_the_scale() -> None:
 
 
 def test_the_command_and_its_errors(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["evaluate", WORLD, "--robots", "4", "--rollouts", "512", "--exact", "never", "--no-advice", "--threat-scale"]
+    words = [
+        "evaluate",
+        WORLD,
+        "--robots",
+        "4",
+        "--rollouts",
+        "512",
+        "--exact",
+        "never",
+        "--no-advice",
+        "--threat-scale",
+    ]
     found = answer_of(capsys, *words, "0.5,1,2")
     assert [entry["scale"] for entry in found["threat_scale"]] == [0.5, 1, 2]
     assert found["threat_scale"][1]["coverage"] == found["coverage"]

@@ -560,7 +560,8 @@ def test_a_plan_of_another_planner_takes_open_loop_options(tmp_path: Path, capsy
 def test_a_reader_that_goes_away_is_no_error_and_numba_imports_no_jax() -> None:
     script = (
         f"import sys; from analysis.cli.app import run; "
-        f"sys.exit(run(['evaluate', {WORLD!r}, '--rollouts', '64', '--exact', 'never', '--no-advice']) or 3 * ('jax' in sys.modules))"
+        f"words = ['evaluate', {WORLD!r}, '--rollouts', '64', '--exact', 'never', '--no-advice']; "
+        f"sys.exit(run(words) or 3 * ('jax' in sys.modules))"
     )
     command = f"{shlex.join([sys.executable, '-c', script])} | true; echo ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)

@@ -157,9 +157,10 @@ def test_orders_that_no_file_knows_are_not_given(tmp_path: Path) -> None:
 
 
 def test_the_rest_of_a_line_that_is_too_long_is_no_line(tmp_path: Path) -> None:
+    World.create(np.zeros((2, 3)), [[0, 0]]).save(tmp_path / "map.npz")
     close, pads = b'{"type": "close", "cells": [[0, 1]]}', (LONGEST, LONGEST + 1, LONGEST + 2, 3 * LONGEST)
     said = subprocess.run(
-        [sys.executable, "-m", "mrac_jax", "drive", "example:paper"], cwd=tmp_path, capture_output=True, check=True,
+        [sys.executable, "-m", "mrac_jax", "drive", "map.npz"], cwd=tmp_path, capture_output=True, check=True,
         input=b"".join(b" " * pad + close + b'\n{"type": "orders"}\n' for pad in pads),
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     ).stdout.splitlines()  # fmt: skip
@@ -191,7 +192,8 @@ def test_a_mission_that_is_over_says_the_time_of_the_run() -> None:
 
 
 def test_without_reports_to_read_nothing_is_driven(tmp_path: Path) -> None:
-    command = f'exec "{sys.executable}" -m mrac_jax drive example:paper <&-'
+    World.create(np.zeros((2, 3)), [[0, 0]]).save(tmp_path / "map.npz")
+    command = f'exec "{sys.executable}" -m mrac_jax drive map.npz <&-'
     done = subprocess.run(["sh", "-c", command], cwd=tmp_path, capture_output=True, text=True,
                           env=os.environ | {"PYTHONPATH": str(ROOT)})  # fmt: skip
     assert done.returncode == 2 and done.stderr.startswith("error: standard input is closed") and not done.stdout

@@ -631,15 +631,15 @@ def test_a_detector_that_changes_the_map_keeps_a_waiting_team_up(detect, false_a
     play_both_ways(plan, world, worth, 12)
 
 
-@pytest.mark.parametrize("number, kind", [(0, "persistent"), (0, "consumed"), pytest.param(2, "persistent", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "number, kind", [(0, "persistent"), (0, "consumed"), pytest.param(2, "persistent", marks=pytest.mark.slow)]
+)
 def test_all_that_can_happen_on_a_hidden_map_is_what_rollouts_come_to(number, kind):
     """Every hidden map and every hit, by the twin, against rollouts: visited cells, and the mean posterior."""
     count = 5_000
     q, h = TINY[number]
     both = Both(q, h, kind, [[0, 0], [0, 0]])
-    there, hits = (
-        np.nan_to_num(one.ravel().astype(np.float64)) for one in (both.world.doubt.q, both.world.doubt.h)
-    )
+    there, hits = (np.nan_to_num(one.ravel().astype(np.float64)) for one in (both.world.doubt.q, both.world.doubt.h))
 
     def play(hit, both=both):
         _, visited, _, twin = both.theirs(hit)

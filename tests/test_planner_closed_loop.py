@@ -96,13 +96,6 @@ def test_robots_in_different_parts_get_stuck_alike() -> None:
     assert tally.outcomes[Outcome.COMPLETE] >= 5
 
 
-def test_sharing_happens_and_is_alike() -> None:
-    world = World.create(np.where(np.arange(48).reshape(4, 12) % 11 == 5, 0.05, 0.0))
-    plan = make_plan(world, [[0, 0], [0, 0], [3, 11]], Settings(density=2))
-    assert plan.shares > 0
-    compare(world, plan, 100)
-
-
 def test_both_kinds_of_share_happen_and_are_counted() -> None:
     world = random_world(7, 7, ThreatPattern("contiguous", 4, seed=2))
     plan = make_plan(world, place_starts(world, 6)[0])
