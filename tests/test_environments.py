@@ -324,7 +324,7 @@ def test_so_it_is_when_it_is_judged(rule: str) -> None:
         return np.ones(len(seen), np.int64)
 
     given: dict[str, Any] = {"rule": rule, "offers": 5}
-    count = 30
+    count = 60 if rule == "mrac" else 30
     visited, lost, steps = roll_policy(AreaEnv(world(), 3, **given), first, 4, 20)
     found = make_singles(world(), mrac.plan(world(), 3, policy=rule), RolloutChoices(rollouts=count, seed=4))(0, count)
     sent = pickle.loads(pickle.dumps(AreaEnv(world(), 3, **given)))
