@@ -121,6 +121,7 @@ EFFORTS = {
     "analysis.estimators.trial.EFFORT": 0.01,
     "analysis.theory.upper_bound.GAIN": 20.0,
     "analysis.theory.upper_bound.PATIENCE": 0.3,
+    "analysis.theory.flow_programme.ROUNDS": 0.1,
 }
 """What the quick tests multiply: histories of a tree of all that can happen; where the bound for every strategy ends.
 

@@ -45,7 +45,7 @@ KEYS = {
 
 
 def answer(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
-    return answer_of(capsys, "evaluate", *words, "--no-advice")
+    return answer_of(capsys, "evaluate", *words, *{"--no-advice"} - {*words})
 
 
 def test_open_loop_answer_is_the_closed_form(capsys: pytest.CaptureFixture[str]) -> None:
