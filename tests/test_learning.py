@@ -323,7 +323,7 @@ def test_counts_add_up_whatever_the_threads_and_chunks(policy):
     play_both_ways(plan, world, 3, 2)
 
 
-@pytest.mark.parametrize("policy", ["mrac", "per_cell", "frontier"])
+@pytest.mark.parametrize("policy", ["mrac", "frontier"])
 def test_robots_learn_which_of_several_maps_is_true(policy):
     base = random_world(8, 8, ThreatPattern(areas=3, seed=1))
     maps = [random_world(8, 8, ThreatPattern(areas=3, seed=seed)).threat for seed in range(1, 5)]
