@@ -434,14 +434,7 @@ def test_searches_pass_every_option_on(monkeypatch: pytest.MonkeyPatch) -> None:
                 "recharge": 4, "hazard_multiplier": 0.5, "return_to": [[0, 0]], "radio": 30.0,
                 "in_area": "rows"}  # fmt: skip
     policy = {"policy": "per_cell", "risk_cap": 0.5, "robot_value": 40.0}
-    rolled = {
-        "rollouts": 77,
-        "seed": 5,
-        "deadline": 300,
-        "first_visit": False,
-        "engine": "numba",
-        "exact": "never",
-    }
+    rolled = {"rollouts": 77, "seed": 5, "deadline": 300, "first_visit": False, "engine": "numba", "exact": "never"}
     rooms = {
         "starts": "start_positions",
         "clear": "threats",
