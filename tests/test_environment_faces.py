@@ -318,7 +318,7 @@ def ppo() -> Any:
 def test_a_few_updates_beat_a_random_walk(ppo: Any) -> None:
     said: list[str] = []
     env = mrac.env(ppo.world(), ppo.ROBOTS, face="jax")
-    network = ppo.train(env, ppo.Choices(updates=10, envs=32), 1, said.append)
+    network = ppo.train(env, ppo.Choices(updates=20, envs=32), 1, said.append)
     assert len(said) == 10 and "covered" in said[-1]
     judged = mrac.judge(ppo.world(), ppo.policy_of(network), ppo.ROBOTS, rollouts=256, against=(), progress=False)
     assert judged.score is not None and judged.score.mean > 5 * judged.score.se
