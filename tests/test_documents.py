@@ -54,7 +54,7 @@ COMMANDS = [
 
 
 FIGURES = {page: re.findall(r"# ([0-9.]*[0-9])\.\.\.", text) for page, text in PYTHON.items()}
-MOST = 256
+MOST = 1024
 """Rollouts of a quick example: where the page gives no figure that would differ."""
 
 
