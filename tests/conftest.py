@@ -29,6 +29,7 @@ FOLDER = Path(__file__).parent / "fixtures"
 NAMES = sorted(path.stem for path in FOLDER.glob("*.json"))
 
 settings.register_profile("default", deadline=None, derandomize=True, print_blob=True)
+settings.register_profile("quick", settings.get_profile("default"), max_examples=40)
 settings.load_profile("default")
 gc.set_threshold(100_000, 50, 100)  # compilers make and drop many small objects: a tenth of their time was collecting
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
@@ -52,6 +53,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
     Before all tests run on several processes, the programs of the closed loop are compiled, each once.
     """
+    if config.getoption("markexpr") == "not slow":
+        settings.load_profile("quick")
     if config.getoption("markexpr") == "not slow" and version("jaxlib").startswith("0.10."):
         flags = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
         os.environ.setdefault("XLA_FLAGS", flags)
@@ -116,9 +119,10 @@ def pytest_runtest_setup() -> None:
 
 
 EFFORTS = {
-    "analysis.estimators.trial.EFFORT": 0.1,
+    "analysis.estimators.trial.EFFORT": 0.01,
     "analysis.theory.upper_bound.GAIN": 20.0,
     "analysis.theory.upper_bound.PATIENCE": 0.3,
+    "analysis.theory.flow_programme.ROUNDS": 0.1,
 }
 """What the quick tests multiply: histories of a tree of all that can happen; where the bound for every strategy ends.
 

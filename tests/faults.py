@@ -57,7 +57,7 @@ ASKED = {signal.SIGTERM, signal.SIGINT}
 """What asks a command to end."""
 SWEEP = """\
 base: {kind: contiguous, size: 6x7, ratio: 0.2}
-maps: 6
+maps: 3
 rollouts: 200
 sweep: {robots: [1, 2], policy: [mrac, per_cell]}
 """
@@ -201,12 +201,12 @@ def prepare(folder: Path) -> Path:
 class Whole:
     """A command that nobody disturbed: its digest, and how long it took, forked and anew."""
 
-    def __init__(self, name: str, words: str, home: Path) -> None:
+    def __init__(self, name: str, words: str, home: Path, *, anew: bool = True) -> None:
         self.name, self.words, self.folder, self.took = name, words, home / "now", [0.0, 0.0]
         with contextlib.chdir(prepare(self.folder)):  # imports and compiles what it needs
             answer(words.replace("--processes 2", "--processes 1"))
-        for anew in (False, True):
-            self.ended(anew=anew, fresh=True)
+        for way in (False, True)[: 1 + anew]:
+            self.ended(anew=way, fresh=True)
             self.digest = digest(self.folder)
 
     def ended(self, *, anew: bool = False, fresh: bool = False) -> Ended:
@@ -510,7 +510,7 @@ def faults(kills: int, flipped: int, seed: int = 0, only: str = "") -> Iterator[
         for name, words in (LONG | POOLED).items():
             if not re.search(only, name):
                 continue
-            whole = Whole(name, words, home)
+            whole = Whole(name, words, home, anew=kills > 9)  # of fewer none begins anew
             for kind, trial in KINDS.items():
                 yield from trial(whole, math.ceil(kills * SHARE[kind]), draw)
             if name in POOLED:

@@ -40,7 +40,6 @@ from cyclopts import App
 from PIL import Image
 
 from analysis.cli.app import app, run
-from planner.policies import RULES
 
 SECONDS, MEMORY = 20, 2 * 2**30
 LONG = re.compile(rb"rollouts: *[0-9]{8}")
@@ -197,7 +196,7 @@ def make_inputs() -> None:
         if status:
             raise SystemExit(f"{command}: {errors}")
     Path(FILE).write_bytes(Path("world.npz").read_bytes())
-    for policy in (*RULES, "best"):  # compiled now: an input's time is its own
+    for policy in ("mrac", "per_cell"):  # compiled now: an input's time is its own
         for more in ("", " --return-to home", " --transit area"):
             called(f"evaluate world.npz --rollouts 64 --no-advice --policy {policy}{more}".split())
     called(["evaluate", "world.npz", "--rollouts", "64", "--plan", "plan.json", "--loop", "open"])

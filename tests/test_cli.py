@@ -46,7 +46,7 @@ KEYS = {
 
 
 def answer(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
-    return answer_of(capsys, "evaluate", *words)
+    return answer_of(capsys, "evaluate", *words, *{"--no-advice"} - {*words})
 
 
 def test_open_loop_answer_is_the_closed_form(capsys: pytest.CaptureFixture[str]) -> None:
@@ -197,7 +197,7 @@ def test_a_map_without_threats_is_noted(tmp_path: Path, capsys: pytest.CaptureFi
 
 def test_out_writes_pictures_plan_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "new" / "folder"
-    assert run(["evaluate", WORLD, "--robots", "3", "--rollouts", "512", "--out", str(folder)]) == 0
+    assert run(["evaluate", WORLD, "--robots", "3", "--rollouts", "512", "--no-advice", "--out", str(folder)]) == 0
     names = {path.name for path in folder.iterdir()}
     assert names == {
         "index.html", "world.png", "covered.png", "losses.png", "distribution.png", "over_time.png", "plan.json",
@@ -563,7 +563,8 @@ def test_a_plan_of_another_planner_takes_open_loop_options(tmp_path: Path, capsy
 def test_a_reader_that_goes_away_is_no_error_and_numba_imports_no_jax() -> None:
     script = (
         f"import sys; from analysis.cli.app import run; "
-        f"sys.exit(run(['evaluate', {WORLD!r}, '--rollouts', '64']) or 3 * ('jax' in sys.modules))"
+        f"words = ['evaluate', {WORLD!r}, '--rollouts', '64', '--exact', 'never', '--no-advice']; "
+        f"sys.exit(run(words) or 3 * ('jax' in sys.modules))"
     )
     command = f"{shlex.join([sys.executable, '-c', script])} | true; echo ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
@@ -577,7 +578,7 @@ def test_interrupted_in_the_deadline_still_prints(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Deadline, "measure", interrupted)
-    found = answer_of(capsys, "evaluate", WORLD, "--rollouts", "4096", "--deadline", "9", status=130)
+    found = answer_of(capsys, "evaluate", WORLD, "--rollouts", "4096", "--deadline", "9", "--no-advice", status=130)
     assert found["partial"] is True
     assert found["rollouts"] == 4096
 

@@ -68,7 +68,7 @@ def kill_mission(kills: int, folder: Path, seed: int) -> int:
 
 
 def test_a_mission_that_is_killed_loses_nothing(tmp_path: Path) -> None:
-    kill_mission(30, tmp_path, 1)
+    kill_mission(12, tmp_path, 1)
 
 
 @pytest.mark.slow
@@ -157,9 +157,10 @@ def test_orders_that_no_file_knows_are_not_given(tmp_path: Path) -> None:
 
 
 def test_the_rest_of_a_line_that_is_too_long_is_no_line(tmp_path: Path) -> None:
+    World.create(np.zeros((2, 3)), [[0, 0]]).save(tmp_path / "map.npz")
     close, pads = b'{"type": "close", "cells": [[0, 1]]}', (LONGEST, LONGEST + 1, LONGEST + 2, 3 * LONGEST)
     said = subprocess.run(
-        [sys.executable, "-m", "mrac_jax", "drive", "example:paper"], cwd=tmp_path, capture_output=True, check=True,
+        [sys.executable, "-m", "mrac_jax", "drive", "map.npz"], cwd=tmp_path, capture_output=True, check=True,
         input=b"".join(b" " * pad + close + b'\n{"type": "orders"}\n' for pad in pads),
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     ).stdout.splitlines()  # fmt: skip
@@ -191,7 +192,8 @@ def test_a_mission_that_is_over_says_the_time_of_the_run() -> None:
 
 
 def test_without_reports_to_read_nothing_is_driven(tmp_path: Path) -> None:
-    command = f'exec "{sys.executable}" -m mrac_jax drive example:paper <&-'
+    World.create(np.zeros((2, 3)), [[0, 0]]).save(tmp_path / "map.npz")
+    command = f'exec "{sys.executable}" -m mrac_jax drive map.npz <&-'
     done = subprocess.run(["sh", "-c", command], cwd=tmp_path, capture_output=True, text=True,
                           env=os.environ | {"PYTHONPATH": str(ROOT)})  # fmt: skip
     assert done.returncode == 2 and done.stderr.startswith("error: standard input is closed") and not done.stdout
@@ -225,7 +227,7 @@ def test_clean_reports_cover_what_the_closed_loop_covers() -> None:
     """All robots report at once, so who acts later in a step learns of a loss a step later: next to no difference."""
     fleets, world, plan = example("fleet"), *small_case(3)
     found = []
-    for seed in range(30):
+    for seed in range(14):
         dialogue = Dialogue(DrivenMission(world, plan), None, dict)
         found.append(drive_here(fleets.Fleet(world, 0.0, seed), dialogue)["covered"])
     closed = mrac.evaluate(world, plan, rollouts=8192, bound=False, advice=False, band=False, exact="never").visited
@@ -235,7 +237,7 @@ def test_clean_reports_cover_what_the_closed_loop_covers() -> None:
 
 def test_lost_late_and_doubled_reports_end_a_mission_all_the_same() -> None:
     fleets, ends = example("fleet"), set()
-    for seed in range(10):
+    for seed in range(6):
         world, dialogue = talk(seed=seed)
         end = drive_here(fleets.Fleet(world, 0.2, seed), dialogue)
         assert 0 < end["covered"] <= 1
@@ -456,17 +458,17 @@ def test_a_mission_of_another_team_is_not_gone_on_with(tmp_path: Path, capfd: py
     file, mission = tmp_path / "now.json", DrivenMission(world, plan)
     drive = ["drive", "example:paper", "--state", str(file), "--robots"]
     mission.save(file)
-    assert run([*drive, "2"]) == 2
-    assert capfd.readouterr().err == (
-        f"error: {file}: holds a mission of 3 robots; expected one of 2, as planned; give the robots of the mission\n"
+    # The last line: a slow machine says before it that a plan is made.
+    assert error_of(capfd, *drive, "2") == (
+        f"error: {file}: holds a mission of 3 robots; expected one of 2, as planned; give the robots of the mission"
     )
     assert run(["evaluate", "example:paper", "--state", str(file)]) == 2
     assert "whose first step is not over; expected a mission under way; leave it out" in capfd.readouterr().err
     mission.advance()
     mission.save(file)
     kept = file.read_bytes()
-    assert run([*drive, "2"]) == 2 and file.read_bytes() == kept
-    assert capfd.readouterr().err == f"error: --robots 2 contradicts the 3 robots of {file}; leave it out\n"
+    assert error_of(capfd, *drive, "2") == f"error: --robots 2 contradicts the 3 robots of {file}; leave it out"
+    assert file.read_bytes() == kept
 
 
 def test_a_plan_file_is_driven_by_itself_where_its_map_is(

@@ -107,8 +107,8 @@ def test_tolerances_are_those_of_the_plain_numbers() -> None:
 
 
 def test_transitions_are_those_of_the_plain_rules() -> None:
-    """20,000 steps of the team, event for event: places, rewards, who is lost, what was visited, the end."""
-    env, seed, rollouts = made(robot_value=2.5, max_steps=STEPS), 2**40 + 11, np.arange(300)
+    """7,000 steps of the team, event for event: places, rewards, who is lost, what was visited, the end."""
+    env, seed, rollouts = made(robot_value=2.5, max_steps=STEPS), 2**40 + 11, np.arange(100)
     states, draw = begin(env, seed, rollouts), np.random.default_rng(3)
     starts, bears = (env.starts @ [COLS, 1]).tolist(), tolerances(seed, rollouts, ROBOTS).tolist()
     twins = [Twin(env.world, starts, of, 2.5, STEPS) for of in bears]
@@ -126,7 +126,7 @@ def test_transitions_are_those_of_the_plain_rules() -> None:
             assert twin.visited == set(np.flatnonzero(visited[place]).tolist())
             taken += 1
         done |= over
-    assert done.all() and taken > 2e4
+    assert done.all() and taken > 6e3
     assert len({tuple(twin.alive) for twin in twins}) > ROBOTS
 
 
@@ -138,8 +138,8 @@ def test_a_key_is_a_seed_and_steps_follow_the_conventions() -> None:
     actions = dict.fromkeys(env.agents, jnp.int32(1))
     keys = jax.random.split(jax.random.key(9), 4)
     plain = env.step_env(keys[0], state, actions)
-    for got in (env.step(keys[0], state, actions), jax.jit(env.step_env)(keys[0], state, actions)):
-        assert equal(got, plain)
+    for step in (env.step, env.step_env):
+        assert equal(jax.jit(step)(keys[0], state, actions), plain)
     assert set(plain[3]) == {*env.agents, "__all__"} and set(plain[2]) == set(env.agents)
     assert env.action_space("agent_0").n == len(ACTIONS) and env.agent_classes == {"robot": env.agents}
 
@@ -147,12 +147,13 @@ def test_a_key_is_a_seed_and_steps_follow_the_conventions() -> None:
 def test_an_episode_that_is_over_begins_anew() -> None:
     env = made(max_steps=2)
     state, actions = env.reset(jax.random.key(0))[1], dict.fromkeys(env.agents, jnp.int32(0))
+    take = jax.jit(env.step)
     for step in (1, 2):
-        seen, state, _, dones, infos = env.step(jax.random.key(step), state, actions)
+        seen, state, _, dones, infos = take(jax.random.key(step), state, actions)
     assert dones["__all__"] and infos["truncated"] and not state.done and state.step == 0
     fresh = env.reset(jax.random.key(2))
     assert equal((seen, state), fresh)
-    again = env.step(jax.random.key(7), env.step(jax.random.key(1), fresh[1], actions)[1], actions, fresh[1])[1]
+    again = take(jax.random.key(7), take(jax.random.key(1), fresh[1], actions)[1], actions, fresh[1])[1]
     assert (again.left == fresh[1].left).all()
 
 
@@ -312,7 +313,9 @@ def test_offers_are_in_the_order_of_the_rule() -> None:
         assert sorted(range(200), key=keys.__getitem__) == sorted(range(200), key=lambda one: rule.key(offers[one]))
 
 
-@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize(
+    "rule", [pytest.param(rule, marks=() if rule in ("mrac", "per_cell") else pytest.mark.slow) for rule in RULES]
+)
 def test_so_it_is_when_it_is_judged(rule: str) -> None:
     """On the luck of plans, id for id: none ahead, none behind; another process would find the same."""
 

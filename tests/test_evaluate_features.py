@@ -642,7 +642,7 @@ def test_a_sweep_crosses_what_robots_plan_on(tmp_path: Path) -> None:
     (tmp_path / "sweep.yaml").write_text(
         "base: {input: s.yaml, robots: 2}\nsweep: {plan_on: [now, worst], 'phases[0].from': [2, 4]}\nrollouts: 200\n"
     )
-    rows = mrac.sweep(tmp_path / "sweep.yaml", tmp_path / "s.db").rows
+    rows = mrac.sweep(tmp_path / "sweep.yaml", tmp_path / "s.db", processes=1).rows
     assert len(rows) == 4
 
 

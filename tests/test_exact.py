@@ -545,6 +545,7 @@ def test_no_tree_where_maps_are_in_doubt_or_teams_too_large() -> None:
     assert grow_tree(loop, 1.0, 1000) is None
 
 
+@pytest.mark.usefixtures("full_effort")
 def test_evaluate_says_what_a_tree_knows() -> None:
     world = random_world(20, 20, ThreatPattern("contiguous", seed=1))
     plan = make_plan(world, place_starts(world, 3)[0])

@@ -505,7 +505,9 @@ def test_the_sets_are_those_of_a_plain_loop() -> None:
 
 
 @pytest.mark.parametrize(
-    "environment", [{"NUMBA_CPU_NAME": "generic"}, {"NUMBA_DISABLE_JIT": "1"}], ids=["a plain processor", "uncompiled"]
+    "environment",
+    [{"NUMBA_CPU_NAME": "generic"}, pytest.param({"NUMBA_DISABLE_JIT": "1"}, marks=pytest.mark.slow)],
+    ids=["a plain processor", "uncompiled"],
 )
 def test_where_lanes_cannot_be_permuted(environment: dict[str, str]) -> None:
     code = "import test_failure_sampling as tests; print(tests.check(tests.parted, range(1, 70)))"

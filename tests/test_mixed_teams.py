@@ -53,13 +53,6 @@ HOMES: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.parametrize("part", range(len(KINDS)))
-def test_runs_are_the_same_both_ways(part: int) -> None:
-    for seed in range(part, 2 * len(KINDS), len(KINDS)):
-        world, starts, types = drawn(seed)
-        play_both_ways(make_plan(world, starts, Settings(**KINDS[part], types=types)), world, seed, 2)
-
-
 def check_homes(part: int, seed: int, rollouts: int) -> None:
     """Each robot goes home by the safest way of its own type, found by the plainest search."""
     world, starts, types = drawn(seed)

@@ -413,11 +413,7 @@ def test_extreme_worlds_are_drawn_inside_the_figure(name: str, extreme: dict[str
 
 @pytest.mark.parametrize(
     "name, cell_size, origin",
-    [
-        ("world.png", 500.0, (0, 0, 0)),
-        ("covered.png", 0.5, (-3.0, 7.25, 0)),
-        ("losses.png", 0.25, (1, 2, 0.4)),
-    ],
+    [("world.png", 500.0, (0, 0, 0)), ("covered.png", 0.5, (-3.0, 7.25, 0)), ("losses.png", 0.25, (1, 2, 0.4))],
 )
 def test_maps_have_axes_in_metres(name: str, cell_size: float, origin: tuple[float, float, float]) -> None:
     """The second axes say where the centre of each cell is, in the frame of the map."""

@@ -564,7 +564,7 @@ def test_a_sweep_keeps_to_the_deadline_of_its_plan(tmp_path: Path, capsys: pytes
     assert run(["plan", WORLD_DEADLINE, "--robots", "3", "--deadline", str(ENDS), "--out", str(made)]) == 0
     spec.write_text(json.dumps({"base": {"input": WORLD_DEADLINE, "plan": str(made)}, "rollouts": 200}))
     capsys.readouterr()
-    (row,) = answer_of(capsys, "sweep", str(spec), "--store", str(tmp_path / "s.db"))["settings"]
+    (row,) = answer_of(capsys, "sweep", str(spec), "--store", str(tmp_path / "s.db"), "--processes", "1")["settings"]
     assert row["time"]["mean"] <= ENDS and row["outcomes"]["deadline"] > 0 == row["outcomes"]["step_limit"]
     with Store.open(tmp_path / "s.db", write=False) as store:
         (stored,) = select(store, {})

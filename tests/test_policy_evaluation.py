@@ -312,7 +312,7 @@ def test_what_is_no_policy_is_refused(wrong: object) -> None:
 
 
 def test_processes_change_no_figure() -> None:
-    given = {"rollouts": 80, "seed": 4, "max_steps": 12, "against": ("mrac",), "progress": False}
+    given = {"rollouts": 40, "seed": 4, "max_steps": 12, "against": ("mrac",), "progress": False}
     one, two = (mrac.judge(CORRIDOR, mostly_east, 2, processes=n, **given) for n in (1, 2))
     assert one.to_json() == two.to_json() and one.coverage.se > 0
     assert one.to_json() == mrac.evaluate(CORRIDOR, 2, policy=mostly_east, **given).to_json()

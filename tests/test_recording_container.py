@@ -163,11 +163,11 @@ def nothing_is_collected() -> Iterator[None]:
 def test_an_interrupt_at_any_moment_leaves_a_valid_log(tmp_path: Path) -> None:
     """Ctrl-C arrives between any two steps of the writer; whatever is in the log is a beginning of what was said."""
     lengths = set()
-    for attempt in range(15):
+    for attempt in range(8):
         path = tmp_path / f"{attempt}.mcap"
         main = threading.main_thread().ident
         assert main is not None
-        timer = threading.Timer(0.002 + 0.0005 * attempt, signal.pthread_kill, (main, signal.SIGINT))
+        timer = threading.Timer(0.002 + 0.001 * attempt, signal.pthread_kill, (main, signal.SIGINT))
         with pytest.raises(KeyboardInterrupt), LogWriter(path, chunk_size=300) as log:
             timer.start()
             channel = log.channel("/x", POSE)
@@ -177,7 +177,7 @@ def test_an_interrupt_at_any_moment_leaves_a_valid_log(tmp_path: Path) -> None:
         assert [m[1:] for m in said] == [(i, i, b"%d" % i) for i in range(len(said))]
         assert found.partial == "interrupted" and len(list(found.messages())) == len(said)
         lengths.add(len(said))
-    assert len(lengths) > 5
+    assert len(lengths) > 3
 
 
 def interrupted_at(line: int) -> Callable[[FrameType, str, object], object]:

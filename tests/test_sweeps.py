@@ -237,7 +237,7 @@ def test_alike_on_every_map_is_no_proof(tmp_path: Path) -> None:
     assert one.reach("time") == 19  # one robot's largest time is proven
 
 
-@pytest.mark.parametrize("trials", [800, pytest.param(4000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("trials", [400, pytest.param(4000, marks=pytest.mark.slow)])
 def test_intervals_over_maps_hold_as_often_as_they_say(trials: int) -> None:
     """95 % intervals of means over 12 normal maps and 50 skewed ones: within 5 standard errors of 95 %."""
     random = np.random.default_rng(1)
@@ -695,7 +695,7 @@ def held(make: object, truth: float) -> tuple[float, float]:
     return float(inside), float(np.mean([each.half_width for each in found]) / spread / 1.96)
 
 
-TRIALS = 500
+TRIALS = 250
 SLACK = 3 * math.sqrt(0.05 * 0.95 / TRIALS)
 """Three standard errors of a share of 95 % in so many trials."""
 

@@ -212,7 +212,7 @@ def test_parts_that_another_process_ran_meanwhile_are_run_again() -> None:
 
 
 def test_one_process_two_processes_and_a_killed_one_which_costs_only_what_was_in_flight() -> None:
-    right = swept(jobs_of(maps=24), processes=1)
+    right = swept(jobs_of(maps=8), processes=1)
     killed: list[int] = []
 
     def kill_one(step: Done) -> None:
@@ -222,7 +222,7 @@ def test_one_process_two_processes_and_a_killed_one_which_costs_only_what_was_in
             killed.append(victim)
 
     with Memory() as store:
-        run_cases(jobs_of(maps=24), store, processes=2, progress=kill_one)
+        run_cases(jobs_of(maps=8), store, processes=2, progress=kill_one)
         assert len(killed) == 1 and contents(store) == right
 
 
@@ -255,7 +255,7 @@ def _environment() -> dict[str, str]:
 
 def kill_at_random_moments(folder: Path, numbers: range, seed: int) -> None:
     """kill -9 the client, or a worker and then the client; after each, and at the end, compare with the whole."""
-    random, maps = np.random.default_rng(seed), 60 + 3 * len(numbers)  # processes get a dozen jobs at a time
+    random, maps = np.random.default_rng(seed), 40 + 3 * len(numbers)  # processes get a dozen jobs at a time
     values = {"maps": maps, "rollouts": 30, "processes": 2}
     right = swept(jobs_of(maps=maps, rollouts=30), processes=1)
     path, before, middle = folder / "a.db", 0, 0

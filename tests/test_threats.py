@@ -712,10 +712,7 @@ def test_viewshed_on_the_cells_in_bands(tmp_path: Path) -> None:
     ("keys", "names"),
     [
         ({"sites": [], "range": 5, "p": 0.1}, "viewshed.sites"),
-        (
-            {"sites": [[0, 6]], "range": 5, "p": 0.1},
-            "viewshed.sites[0][1]` is 6; expected a column, 0 to 5",
-        ),
+        ({"sites": [[0, 6]], "range": 5, "p": 0.1}, "viewshed.sites[0][1]` is 6; expected a column, 0 to 5"),
         ({"sites": [[0]], "range": 5, "p": 0.1}, "viewshed.sites[0]"),
         ({"sites": [[0.5, 1]], "range": 5, "p": 0.1}, "is 0.5"),
         ({"sites": [[0, 0]], "range": 0, "p": 0.1}, "viewshed.range"),
