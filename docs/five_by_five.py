@@ -179,3 +179,18 @@ def draw_gradient() -> None:
     draw_grid(left, "p, in %", [[f"{100 * p:.0f}" for p in row] for row in threat])
     draw_grid(right, "cells covered, for 1 point more of p", [[f"{g:.3f}" for g in row] for row in gradient])
     assert (gradient[~np.isnan(threat)] <= 0).all() and gradient.min() < -0.01
+
+
+def draw_value() -> None:
+    """Draw the steps of first visits by `per_cell`: all cells of equal value, and the lower right worth 10."""
+    value = np.ones((5, 5))
+    value[3:, 3:] = 10
+    visits = []
+    for axes, values, title in zip(panels(2), (1, value), ("equal values", "lower right: value 10"), strict=True):
+        paths = [robot.path for robot in mrac.plan(mrac.load(threat, value=values), 2, policy="per_cell").robots]
+        step = np.full(25, 99)
+        for path in paths:
+            np.minimum.at(step, path, np.arange(len(path)))
+        visits.append(step.reshape(5, 5))
+        draw_grid(axes, f"step of first visit, {title}", [[str(s) for s in row] for row in visits[-1]])
+    assert visits[1][4, 4] < visits[0][4, 4] and max(v[~np.isnan(threat)].max() for v in visits) < 99
