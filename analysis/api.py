@@ -77,8 +77,8 @@ class PlannerOptions(TypedDict, total=False):
     transit: Literal["grid", "area"] | None
     max_steps: int | None
     range: int | Sequence[int] | None
-    wear: float | None
-    susceptibility: float | Sequence[float] | None
+    weibull_shape: float | None
+    hazard_multiplier: float | Sequence[float] | None
     return_to: ReturnTo
     recharge: int | None
     types: str | Sequence[str] | None
@@ -91,8 +91,8 @@ class PolicyOptions(PlannerOptions, total=False):
     """Settings of `plan` for robots that take over from each other."""
 
     policy: Policy | None
-    reserve: float | None
-    worth: float | None
+    risk_cap: float | None
+    robot_value: float | None
 
 
 class RolledOptions(TypedDict, total=False):
@@ -216,15 +216,15 @@ def plan(
     transit: Literal["grid", "area"] | None = None,
     max_steps: int | None = None,
     policy: Policy | None = None,
-    reserve: float | None = None,
-    worth: float | None = None,
+    risk_cap: float | None = None,
+    robot_value: float | None = None,
     plan_for: Loop | None = None,
     effort: int | None = None,
     seconds: float | None = None,
     range: int | Sequence[int] | None = None,
     deadline: int | str | None = None,
-    wear: float | None = None,
-    susceptibility: float | Sequence[float] | None = None,
+    weibull_shape: float | None = None,
+    hazard_multiplier: float | Sequence[float] | None = None,
     return_to: ReturnTo = None,
     recharge: int | None = None,
     state: MissionState | str | Path | None = None,
@@ -625,7 +625,7 @@ def evaluate(
     deadline: int | str | None = None,
     first_visit: bool = False,
     threat_scale: Sequence[float] = (),
-    sense: Sequence[float] = (),
+    sensor_range: Sequence[float] = (),
     bound: bool | None = None,
     band: bool = True,
     advice: bool = True,
@@ -652,7 +652,7 @@ def evaluate(
         deadline: a step at which coverage is reported too; robots that come home know it, and are home by then.
         first_visit: only the first visit of a cell by anybody can stop a robot.
         threat_scale: also if all threats are so many times the map's.
-        sense: also if robots that are not told the map see so many cells far, on the same random numbers; 0: blind.
+        sensor_range: also with sensors of these ranges, in cells, common random numbers; 0: no sensor.
         bound: whether the bound for every strategy is worked out; None: on up to 500 accessible cells.
         band: also sample how coverage grows over time, for `plots`.
         advice: also a quick front: what other settings cover and lose.
@@ -674,7 +674,7 @@ def evaluate(
     check_world(world)
     _check_outputs(asked)
     asked |= {"threat_scale": tuple(threat_scale)} | ({} if metrics is None else {"value": metrics})
-    asked |= {"knowledge": tuple(sense)} if len(sense) else {}
+    asked |= {"knowledge": tuple(sensor_range)} if len(sensor_range) else {}
     check_asked(world, **asked)
     asked |= {"band": band, "advice": advice}
     amount = how_much(rollouts, precision, seconds)
@@ -851,7 +851,7 @@ def size(
     settings = _settings(world, options)
     goal = make_goal(target, confidence, complete, meaning, most)
     amount = how_much(rollouts, precision, None, usual=100_000) | {"seconds": None}
-    loop = loop or ("open" if settings.plan_for == "open" else "closed")
+    loop = loop or ("open" if settings.plan_for == "open_loop" else "closed")
     choices = _rollouts(options, loop=loop, **amount)
     if starts is not None:
         world = world.with_starts(check_starts(starts, world.met, "starts"))
@@ -868,8 +868,8 @@ def front(
     starts: ArrayLike | None = None,
     losses: float | None = None,
     target: float | None = None,
-    reserves: Sequence[float] | None = None,
-    worths: Sequence[float] | None = None,
+    risk_caps: Sequence[float] | None = None,
+    robot_values: Sequence[float] | None = None,
     rollouts: int | None = None,
     **options: Unpack[FrontOptions],
 ) -> Front:
@@ -887,7 +887,9 @@ def front(
     from analysis.search.pareto import Ladders, find_front, make_goal, usual_rollouts
 
     settings, goal = _settings(world, options), make_goal(losses, target)
-    ladders = Ladders(None if reserves is None else tuple(reserves), None if worths is None else tuple(worths))
+    ladders = Ladders(
+        None if risk_caps is None else tuple(risk_caps), None if robot_values is None else tuple(robot_values)
+    )
     placed = np.asarray(starts_of(world, robots, starts))
     choices = _rollouts(options, rollouts=usual_rollouts(world, placed) if rollouts is None else rollouts)
 

@@ -79,7 +79,8 @@ class Asked:
     Attributes:
         source: an INPUT. choices: the planner's settings that are given.
         robots: how many. starts: where, "row,col;row,col;...". cell_size: of a bare map, in metres.
-        step_seconds, speed, turn: of `World.with_pace`. sense: how many cells robots see that are not told the map.
+        step_seconds, speed, turn: of `World.with_pace`.
+        sensor_range: cells that robots see which are not given the map.
     """
 
     source: str
@@ -90,12 +91,12 @@ class Asked:
     step_seconds: float | None = None
     speed: float | None = None
     turn: float | None = None
-    sense: float | None = None
+    sensor_range: float | None = None
 
     def load(self) -> World:
         """The world of the INPUT. Raises InputError."""
         world = load_world(self.source, self.cell_size).with_pace(self.step_seconds, self.speed, self.turn)
-        return world if self.sense is None else seeing(world, self.sense)
+        return world if self.sensor_range is None else seeing(world, self.sensor_range)
 
 
 def load_task(asked: Asked) -> Task:
@@ -239,8 +240,8 @@ def plan_from_state(world: World, state: MissionState, settings: Settings, sourc
     """The plan of the rest of a mission; errors name `source`. Raises InputError."""
     from planner.make_plan import make_plan
 
-    if settings.plan_for != "closed":
-        raise UsageError(f"{argument('plan_for', settings.plan_for)} for the rest of a mission", expected="closed")
+    if settings.plan_for != "closed_loop":
+        raise UsageError(f"{argument('plan_for', settings.plan_for)} for the rest of a mission", expected="closed_loop")
     try:
         return make_plan(world, state.starts, settings, state=state)
     except StateError as error:

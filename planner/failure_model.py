@@ -90,9 +90,9 @@ def tolerances(seed: int, rollouts: ArrayLike, robots: int) -> NDArray[np.int64]
     return tolerance_of(threefry2x32(key_of_luck(seed), ids[:, None], np.arange(robots, dtype=np.uint32))[0])
 
 
-def susceptible(tolerance: ArrayLike, susceptibility: float) -> NDArray[np.int64]:
+def susceptible(tolerance: ArrayLike, hazard_multiplier: float) -> NDArray[np.int64]:
     """The tolerances of a robot on which exposure counts so many times (`planner.arguments`)."""
-    borne, times = np.asarray(tolerance, dtype=np.int64), round(susceptibility * SCALE)
+    borne, times = np.asarray(tolerance, dtype=np.int64), round(hazard_multiplier * SCALE)
     return np.maximum(1, (borne // times << 16) + ((borne % times << 16) // times))
 
 
@@ -148,7 +148,7 @@ class Bearing:
     """
 
     shape: float = 1.0
-    susceptibility: Susceptibility = 1.0
+    hazard_multiplier: Susceptibility = 1.0
     begun: tuple[int, ...] = ()
     types: str | tuple[str, ...] | None = None
 
@@ -160,41 +160,45 @@ class Bearing:
     @property
     def is_even(self) -> bool:
         """True where it is p of the robot's own map."""
-        return self.shape == 1 and bool((np.asarray(self.susceptibility) == 1).all())
+        return self.shape == 1 and bool((np.asarray(self.hazard_multiplier) == 1).all())
 
     @property
     def said(self) -> str:
         """What is not plain of it, in words; "" where all is."""
-        wear = f"robots that wear (shape {self.shape:g})" if self.shape != 1 else ""
-        numbers = np.unique(np.asarray(self.susceptibility, dtype=np.float64))
+        wear = f"Weibull shape {self.shape:g}" if self.shape != 1 else ""
+        numbers = np.unique(np.asarray(self.hazard_multiplier, dtype=np.float64))
         least, most = f"{numbers[0]:g}", f"{numbers[-1]:g}"
         between = least if least == most else f"{least} to {most}"
-        count = f"exposure that counts {between}-fold" if (numbers != 1).any() else ""
+        count = f"hazard multiplier {between}" if (numbers != 1).any() else ""
         names = (self.types,) if isinstance(self.types, str) else dict.fromkeys(self.types or ())
         kinds = f"robots of type {' and '.join(names)}" if names else ""
         return " and ".join(filter(None, (wear, count, kinds)))
 
     def to_json(self) -> dict[str, Any]:
         """What is not the default of it, as plan files hold it."""
-        of = self.susceptibility
-        wear = {} if self.shape == 1 else {"wear": self.shape}
+        of = self.hazard_multiplier
+        shape = {} if self.shape == 1 else {"weibull_shape": self.shape}
         kinds = {} if self.types is None else {"types": self.types}
-        return wear | kinds | ({} if of == 1 else {"susceptibility": list(of) if isinstance(of, tuple) else of})
+        return shape | kinds | ({} if of == 1 else {"hazard_multiplier": list(of) if isinstance(of, tuple) else of})
 
     def check(self, robots: int, source: str = "") -> None:
         """Raise PlanError where it is of another team."""
-        check_each("susceptibility", self.susceptibility, robots, source)
+        check_each("hazard_multiplier", self.hazard_multiplier, robots, source)
 
     def check_known(self, what: str) -> None:
         """Raise UsageError where `what` presumes that every visit of a cell stops any robot with the chance p."""
         if not self.is_plain:
             problem = f"{what} presumes that each visit stops any robot with the map's p; here: {self.said}"
-            named = ("wear", "susceptibility") if self.types is None else ("wear", "susceptibility", "types")
+            named = (
+                ("weibull_shape", "hazard_multiplier")
+                if self.types is None
+                else ("weibull_shape", "hazard_multiplier", "types")
+            )
             raise UsageError(problem, fix=f"leave {' and '.join(map(argument, named))} out")
 
     def times(self, robots: int) -> NDArray[np.int64]:
         """Susceptibility of each robot `[K]`, in units of 1 / SCALE."""
-        given = self.susceptibility[:robots] if isinstance(self.susceptibility, tuple) else self.susceptibility
+        given = self.hazard_multiplier[:robots] if isinstance(self.hazard_multiplier, tuple) else self.hazard_multiplier
         return np.broadcast_to(np.rint(np.asarray(given, dtype=np.float64) * SCALE).astype(np.int64), robots)
 
     @property

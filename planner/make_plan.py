@@ -109,8 +109,8 @@ def make_plan(
         StateError: a state that the settings do not fit.
         PlanError: settings out of range, or an allocation that does not hold every accessible cell exactly once.
     """
-    if settings is not None and settings.plan_for != "closed":
-        raise PlanError(f"plan_for is {settings.plan_for} in a plan with areas", expected="closed")
+    if settings is not None and settings.plan_for != "closed_loop":
+        raise PlanError(f"plan_for is {settings.plan_for} in a plan with areas", expected="closed_loop")
     problem, plan = allocated(world, starts, settings or Settings(), state, allocation=allocation)
     run = nominal_run(problem, plan)
     return replace(
@@ -224,13 +224,13 @@ def _settings_asked(name: str) -> str:
 def _check_exposures(problem: Problem, state: MissionState) -> None:
     """Raise StateError where robots wear, and what one of them has borne is not known, or more than any robot bears."""
     bearing = problem.settings.bearing(state.exposures)
-    if problem.settings.wear == 1:
+    if problem.settings.weibull_shape == 1:
         return
     borne = bearing.fresh_begun(len(state.robots))
     for number, robot in enumerate(state.robots):
         if robot.alive and robot.exposure is None:
             raise StateError(
-                f"robot {number} has no exposure, and robots wear (shape {problem.settings.wear:g})",
+                f"robot {number} has no exposure, and robots wear (shape {problem.settings.weibull_shape:g})",
                 expected='"exposure": what each robot has borne so far, in nat: the sum of -ln(1 - p) over its visits',
             )
         if robot.alive and borne[number] > MOST:

@@ -291,7 +291,7 @@ def make_open_loop_plan(world: World, starts: ArrayLike, settings: Settings, sec
 
     Raises WorldError and PlanError as `make_plan`; PlanError for too large maps.
     """
-    closed = replace(settings, plan_for="closed", effort=None)
+    closed = replace(settings, plan_for="closed_loop", effort=None)
     world.check_told("a plan for the open loop")
     settings.check_stays("a plan for the open loop")
     settings.check_alike("a plan for the open loop")
@@ -333,7 +333,7 @@ def make_open_loop_plan(world: World, starts: ArrayLike, settings: Settings, sec
 
 def _alone(world: World, starts: NDArray[np.int64], settings: Settings) -> list[NDArray[np.int64]]:
     """The path over the whole map of each robot by itself, `per_cell`."""
-    limits: dict[str, Any] = dict.fromkeys(("reserve", "worth", "max_steps", "deadline", "range"))
+    limits: dict[str, Any] = dict.fromkeys(("risk_cap", "robot_value", "max_steps", "deadline", "range"))
     by_itself = replace(settings.alone, policy="per_cell", **limits)
     found = {
         start: make_plan(world, [divmod(start, world.shape[1])], by_itself).robots[0].path for start in starts.tolist()

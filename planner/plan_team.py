@@ -68,7 +68,7 @@ def plan_team(world: World, starts: ArrayLike, settings: Settings | None = None,
     Raises WorldError, PlanError, UsageError.
     """
     POSITIVE.check("seconds", seconds, optional=True)
-    if settings is None or settings.plan_for == "closed":
+    if settings is None or settings.plan_for == "closed_loop":
         if seconds is not None:
             raise UsageError(f"{argument('seconds', seconds)} is for plans for the open loop", fix="leave it out")
         return make_plan(world, starts, settings)

@@ -28,6 +28,7 @@ from planner.errors import PlanError
 from planner.formatting import TIMES, UNPACED, Pace
 from planner.policies import DEFAULT, RULES, Rule, rule_of
 from planner.policies.rules import NEAREST, ORDERS, InAreaOrder
+from planner.renamed import LOOPS, warn_renamed
 from planner.simulator.offers import Offer
 
 if TYPE_CHECKING:
@@ -37,9 +38,9 @@ Policy = str | Rule | Callable[[Offer], Any]
 """A rule by its name, or a user's own: a `Rule`, or a function to order areas by (`planner.policies.own_rule`)."""
 BEST = "best"
 """In the place of a policy: whichever covers most, which a search finds; no plan holds it."""
-POLICY = ("policy", "reserve", "worth", "priority")
+POLICY = ("policy", "risk_cap", "robot_value", "priority")
 """A policy and the limits that go with it."""
-BEARING = ("wear", "susceptibility")
+BEARING = ("weibull_shape", "hazard_multiplier")
 """What robots bear: no decision knows it."""
 KEPT = ("range", "deadline", "return_to", "recharge", "steps_per_move", "radio")
 """What they keep to, whatever the policy."""
@@ -66,6 +67,7 @@ class Setting:
         places: it is one of the words, or cells, a tuple of (row, col).
         unset: what None means, on pages; "": it is never None.
         time: it is a step, and may be given as a time (`planner.formatting`).
+        before: words of release 0.3 that are still read, with the words of today.
         later: a plan with its default is the plan that it was before there was the setting.
     """
 
@@ -80,6 +82,7 @@ class Setting:
     places: bool = False
     names: bool = False
     found: bool = False
+    before: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def kind(self) -> str:
@@ -166,7 +169,7 @@ class Settings:
         in_area: which cell of an area is next: one of `planner.policies.rules.ORDERS`; or a user's own, a function of
             a `CellOffer`, which is not saved.
         priority: by how much each cell counts when areas are compared, one number a cell of the map, row by row; as
-            `--policy best` finds it. None: alike. With `per_cell`, without `worth`.
+            `--policy best` finds it. None: alike. With `per_cell`, without `robot_value`.
     """
 
     levels: int = _setting(
@@ -195,17 +198,19 @@ class Settings:
         "for robots that learn the map (default: mrac).",
         words=tuple(RULES), later=True,
     )  # fmt: skip
-    reserve: float | None = _setting(
-        None, "reserve", "With per_cell: at most this share of the robots alive are at risk at once.",
+    risk_cap: float | None = _setting(
+        None, "risk cap", "With per_cell: at most this share of the robots alive are at risk at once.",
         Numbers(0, 1, above=True), unset="none", later=True,
     )  # fmt: skip
-    worth: float | None = _setting(
-        None, "worth", "With per_cell: a robot is worth so many new cells; dearer areas are left alone.",
+    robot_value: float | None = _setting(
+        None, "robot value",
+        "With per_cell: value of a robot in new cells; areas with a higher expected loss are left out.",
         Numbers(0, above=True), unset="none", later=True,
     )  # fmt: skip
     plan_for: str = _setting(
-        "closed", "planned for", "closed: robots take over from the lost (default); open: they follow paths.",
-        words=("closed", "open"), later=True,
+        "closed_loop", "planned for",
+        "closed_loop: robots take over from the lost (default); open_loop: they follow paths.",
+        words=("closed_loop", "open_loop"), later=True, before=LOOPS,
     )  # fmt: skip
     effort: int | None = _setting(
         None, "effort of the search", "With plan-for open: so many paths are evaluated (default: 200000).",
@@ -219,12 +224,12 @@ class Settings:
         None, "deadline", "End the mission at this step, or by 45min: the plan and all that is made of it keep to it.",
         whole(0, MAX_STEP), unset="none", time=True, later=True,
     )  # fmt: skip
-    wear: float = _setting(
-        1.0, "wear", "Shape of what robots bear: above 1 they wear out, p is a dose (default: 1, none).",
+    weibull_shape: float = _setting(
+        1.0, "Weibull shape", "Shape of the failure threshold; above 1 robots wear out and p is a dose (default: 1).",
         Numbers(LEAST_SHAPE, MOST_SHAPE), later=True,
     )  # fmt: skip
-    susceptibility: float | tuple[float, ...] = _setting(
-        1.0, "susceptibility", "How often exposure counts: one number, or one a robot (default: 1).",
+    hazard_multiplier: float | tuple[float, ...] = _setting(
+        1.0, "hazard multiplier", "Factor on the hazard of every visit: one number, or one a robot (default: 1).",
         Numbers(LEAST_SUSCEPTIBILITY, MOST_SUSCEPTIBILITY), each=True, later=True,
     )  # fmt: skip
     return_to: str | tuple[tuple[int, int], ...] | None = _setting(
@@ -269,7 +274,7 @@ class Settings:
         """What the robots bear; `begun`: what each is known to have borne, in units of 2**-32 nat."""
         from planner.failure_model import Bearing
 
-        return Bearing(self.wear, self.susceptibility, begun, self.types)
+        return Bearing(self.weibull_shape, self.hazard_multiplier, begun, self.types)
 
     @property
     def alone(self) -> Settings:
@@ -356,12 +361,12 @@ class Settings:
                     expected=f"{called('policy')} {limited}",
                     fix=f"leave {called(name)} out, or choose that policy",
                 )
-        if self.priority is not None and self.worth is not None:
-            fix = f"leave one of {called('priority')} and {called('worth')} out"
-            raise PlanError(f"{called('priority')} with {called('worth')}", source=source, fix=fix)
-        if self.effort is not None and self.plan_for != "open":
+        if self.priority is not None and self.robot_value is not None:
+            fix = f"leave one of {called('priority')} and {called('robot_value')} out"
+            raise PlanError(f"{called('priority')} with {called('robot_value')}", source=source, fix=fix)
+        if self.effort is not None and self.plan_for != "open_loop":
             problem = f"{said('effort', str(self.effort))} with {called('plan_for')} {self.plan_for}"
-            expected, fix = f"{called('plan_for')} open", f"leave {called('effort')} out"
+            expected, fix = f"{called('plan_for')} open_loop", f"leave {called('effort')} out"
             raise PlanError(problem, source=source, expected=expected, fix=fix)
         if self.recharge is not None and None in (self.range, self.return_to):
             problem = f"{said('recharge', str(self.recharge))} without {called('range')} and {called('return_to')}"
@@ -407,6 +412,10 @@ class Choices(_Given):
     def given(self) -> dict[str, Any]:
         """The choices that the user made."""
         values = {name: getattr(self, name) for name in SETTINGS}
+        for name, value in values.items():
+            if isinstance(value, str) and value in SETTINGS[name].before:
+                values[name] = SETTINGS[name].before[value]
+                warn_renamed(argument(name, value), argument(name, values[name]))
         return {name: value for name, value in values.items() if value is not None}
 
     def over(self, asked: Mapping[str, Any]) -> dict[str, Any]:

@@ -103,13 +103,13 @@ def settings(draw: random.Random, robots: int) -> Settings:
     each = lambda low, high: tuple(draw.randint(low, high) for _ in range(robots))  # noqa: E731
     may: dict[str, Callable[[], Any]] = {
         "policy": lambda: draw.choice(list(RULES)),
-        "reserve": lambda: draw.choice((0.3, 0.5, 1.0)),
-        "worth": lambda: draw.choice((0.5, 6.0, 20.0)),
+        "risk_cap": lambda: draw.choice((0.3, 0.5, 1.0)),
+        "robot_value": lambda: draw.choice((0.5, 6.0, 20.0)),
         "range": lambda: draw.choice((draw.randint(5, 60), each(5, 60))),
         "deadline": lambda: draw.randint(0, 80),
         "max_steps": lambda: draw.randint(1, 100),
-        "wear": lambda: draw.choice((0.5, 2.0, 3.5)),
-        "susceptibility": lambda: draw.choice((0.5, 3.0, tuple(0.5 + one / 10 for one in each(0, 20)))),
+        "weibull_shape": lambda: draw.choice((0.5, 2.0, 3.5)),
+        "hazard_multiplier": lambda: draw.choice((0.5, 3.0, tuple(0.5 + one / 10 for one in each(0, 20)))),
         "return_to": lambda: draw.choice(("home", "nearest")),
         "recharge": lambda: draw.randint(1, 9),
         "in_area": lambda: draw.choice(ORDERS),
@@ -121,7 +121,7 @@ def settings(draw: random.Random, robots: int) -> Settings:
     }
     asked = {name: make() for name, make in may.items() if draw.random() < 0.33}
     if asked.get("policy", "mrac") == "mrac":
-        asked |= {"reserve": None, "worth": None}
+        asked |= {"risk_cap": None, "robot_value": None}
     if not asked.keys() >= {"range", "return_to"}:
         asked["recharge"] = None
     return Settings(**asked, effort=200 if asked.get("plan_for") == "open" else None)

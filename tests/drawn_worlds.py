@@ -324,8 +324,8 @@ def _options(rng: np.random.Generator, robots: int, kind: str, free: NDArray[np.
         "range": sometimes(0.3, tuple(int(moves) for moves in rng.integers(4, 60, robots))),
         "return_to": sometimes(0.3, ["home", "nearest", tuple(bases)][int(rng.integers(3))]),
         "deadline": sometimes(0.2, int(rng.integers(5, 80))),
-        "wear": sometimes(0.15, 2.0),
-        "susceptibility": sometimes(0.15, tuple(float(times) for times in rng.choice([0.5, 1.0, 3.0], robots))),
+        "weibull_shape": sometimes(0.15, 2.0),
+        "hazard_multiplier": sometimes(0.15, tuple(float(times) for times in rng.choice([0.5, 1.0, 3.0], robots))),
         "steps_per_move": sometimes(0.2, tuple(int(steps) for steps in rng.integers(1, 4, robots))),
         "radio": sometimes(0.2, float(rng.integers(2, 6))),
         "types": tuple(rng.choice(["a", "b", "c"], robots).tolist()) if kind == "types" else None,
@@ -333,15 +333,15 @@ def _options(rng: np.random.Generator, robots: int, kind: str, free: NDArray[np.
     if choices["range"] and choices["return_to"]:
         choices["recharge"] = sometimes(0.5, int(rng.integers(1, 5)))
     if policy != "mrac":
-        choices["reserve"] = sometimes(0.3, 0.4)
-        choices["worth"] = sometimes(0.3, float(rng.integers(2, 60)))
-        if policy == "per_cell" and choices["worth"] is None:
+        choices["risk_cap"] = sometimes(0.3, 0.4)
+        choices["robot_value"] = sometimes(0.3, float(rng.integers(2, 60)))
+        if policy == "per_cell" and choices["robot_value"] is None:
             choices["priority"] = sometimes(0.2, tuple(int(of) for of in rng.integers(0, 4, cells)))
     return {name: value for name, value in choices.items() if value is not None}
 
 
 LEFT_OUT_OF_BOOK = {
-    "transit", "return_to", "recharge", "steps_per_move", "radio", "types", "reserve", "worth", "priority"
+    "transit", "return_to", "recharge", "steps_per_move", "radio", "types", "risk_cap", "robot_value", "priority"
 }  # fmt: skip
 """Options of `_options` that JAX's closed loop leaves to the compiled simulator."""
 

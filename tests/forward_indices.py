@@ -22,7 +22,7 @@ from planner.world.levels import place_starts
 from planner.world.world import World
 
 POLICIES: tuple[dict[str, Any], ...] = (
-    {}, {"policy": "per_cell"}, {"policy": "per_cell", "reserve": 0.5, "worth": 9.0},
+    {}, {"policy": "per_cell"}, {"policy": "per_cell", "risk_cap": 0.5, "robot_value": 9.0},
 )  # fmt: skip
 KERNELS = ((runners, "run_set"), (open_loop_numba, "_count_drawn_once"), (open_loop_numba, "_count_joint"))
 DISTANCES = ((True, None), (False, None), (False, (0, 1, 1)))

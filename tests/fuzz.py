@@ -67,13 +67,16 @@ ROLLED = {"evaluate", "record", "compare", "check", "front", "size", "starts", "
 COMMANDS = (*sorted(ROLLED), "plan", "generate", "drive", "export", "results")
 VALID = {
     "--ids": "1-3", "--starts": "0,0;1,1", "--candidates": "0,0;1,1;2,2", "--range": "30", "--deadline": "20",
-    "--susceptibility": "1,2", "--return-to": "starts", "--plan": "plan.json", "--b.plan": "plan.json",
+    "--hazard-multiplier": "1,2", "--return-to": "starts", "--plan": "plan.json", "--b.plan": "plan.json",
     "--state": "run.state.json", "--waypoints": "new.csv", "--animation": "new.gif", "--picture": "new.png",
     "--plan-out": "new.json", "--scenario-out": "new.yaml", "--plot": "new.png", "--csv": "new.csv",
     "--parquet": "new.parquet", "--merge": "kept.store", "--where": "robots=1", "--by": "robots", "--to": "kml",
-    "--levels": "4", "--seconds": "2", "--size": "6x7", "--exact": "never", "--threat-scale": "0.5,2", "--sense": "1",
-    "--reserves": "0,0.5", "--worths": "1,2", "--pick": "best", "--density": "0.5", "--reserve": "0.2", "--p": "0.1",
-    "--target": "0.5", "--confidence": "0.9", "--wear": "1.5", "--gain": "0.5", "--precision": "0.2", "--ratio": "0.2",
+    "--levels": "4", "--seconds": "2", "--size": "6x7", "--exact": "never", "--threat-scale": "0.5,2",
+    "--sensor-range": "1",
+    "--risk-caps": "0,0.5", "--robot-values": "1,2", "--pick": "best", "--density": "0.5", "--risk-cap": "0.2",
+    "--p": "0.1",
+    "--target": "0.5", "--confidence": "0.9", "--weibull-shape": "1.5", "--gain": "0.5", "--precision": "0.2",
+    "--ratio": "0.2",
     "--obstacles": "0.1", "--losses": "0.5", "--map": "world.npz", "--max-steps": "99", "--worlds": "2",
 }  # fmt: skip
 """What an option takes, where it has no choices and "2" will not do."""
@@ -137,11 +140,11 @@ combine: max
 deadline: 60
 step: {seconds: 2}
 policy: per_cell
-wear: {shape: 2}
+weibull_shape: 2
 """,
-    "unknown.yaml": "map: world.npz\nrobots: {count: 2}\nprior: {p: 0.04}\nsense: {range: 1, sight: true}\n",
+    "unknown.yaml": "map: world.npz\nrobots: {count: 2}\nprior_map: {p: 0.04}\nsensor_range: {range: 1, sight: true}\n",
     "movers.yaml": "map: world.npz\nrobots: {count: 2}\n"
-    "movers: [{walk: 0.5, h: 0.2, count: 2}, {patrol: [[0, 0], [0, 1]], h: 0.6}]\n",
+    "moving_threats: [{walk: 0.5, h: 0.2, count: 2}, {patrol: [[0, 0], [0, 1]], h: 0.6}]\n",
     "ros.yaml": "image: plan.png\nresolution: 0.5\norigin: [0, 0, 0]\nnegate: 0\n"
     "occupied_thresh: 0.65\nfree_thresh: 0.196\n",
     "sweep.yaml": "base: {input: world.npz}\nrollouts: 64\nsweep: {robots: [1, 2]}\n",

@@ -56,7 +56,7 @@ from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.world import World
 
-# Formulas against the truth: verdicts, the command, planted faults, surveys, and the smallest worlds that fail.
+# Formulas against the true_map: verdicts, the command, planted faults, surveys, and the smallest worlds that fail.
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
 TINY_MAP = str(FOLDER / "tiny-3x7-01.npz")  # with three robots

@@ -295,7 +295,7 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("evaluate WORLD --Robots=3", "Unknown option: --Robots; did you mean '--robots'?"),
         ("evaluate WORLD --losses 1", "Unknown option: --losses; it is an option of front"),
         ("evaluate WORLD --loses 1", "Unknown option: --loses; did you mean '--losses', an option of front?"),
-        ("front WORLD --sense 1", "Unknown option: --sense; it is an option of evaluate, compare"),
+        ("front WORLD --sensor-range 1", "Unknown option: --sensor-range; it is an option of evaluate, compare"),
         ("results nowhere.store --scheduler x", "Unknown option: --scheduler; it is an option of sweep"),
         ("evaluate WORLD --xyzzy", "Unknown option: --xyzzy; `mrac-jax evaluate --help` lists its options"),
         ("evaluate WORLD --policy percell", "or best; did you mean 'per_cell'?"),
@@ -303,7 +303,7 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("evaluate WORLD --metrics coverag", "did you mean 'coverage'?"),
         ("evaluate WORLD --precision 5", "in (0, 1); did you mean 0.05?"),
         ("size WORLD --target 0.9 --confidence 95", "did you mean 0.95?"),
-        ("plan WORLD --policy per_cell --reserve 20", "did you mean 0.2?"),
+        ("plan WORLD --policy per_cell --risk-cap 20", "did you mean 0.2?"),
         ("export WORLD --to nav3", "--to 'nav3'; expected qgc or nav2 or geojson or kml or gpx or csv or geotiff; did"),
         ("export WORLD --to GeoJson --out x.geojson", "did you mean 'geojson'?"),
         ("record WORLD --loop close", "did you mean 'closed'?"),
@@ -367,10 +367,10 @@ def test_threats_on_a_map_keep_its_value_and_refuse_what_they_contradict(
     np.save("t.npy", threat + 0.1)
     World.create(threat + 0.05).save("v.npz", force=True)
     for keys, named in (
-        ("hazard: {kind: consumed, h: 0.5}", "leave `hazard` and `uncertain` out"),
-        ("movers: [{walk: 0.5, h: 0.2}]", "leave `movers` out"),
+        ("latent_hazard: {kind: consumed, h: 0.5}", "leave `latent_hazard` and `map_uncertainty` out"),
+        ("moving_threats: [{walk: 0.5, h: 0.2}]", "leave `moving_threats` out"),
         ("phases: [{from: 5, threats: [{raster: t.npy}]}]", "leave `phases` out"),
-        ("truth: t.npy\nsense: {range: 2}", "leave `truth`, `prior` and `sense` out"),
+        ("true_map: t.npy\nsensor_range: {range: 2}", "leave `true_map`, `prior_map` and `sensor_range` out"),
     ):
         Path("s.yaml").write_text(f"map: {{file: v.npz}}\n{keys}\n")
         line = refused(capsys, "generate", "out.npz", "--map", "s.yaml")
@@ -403,8 +403,8 @@ def test_a_plan_made_for_other_robots_than_the_scenario_s_is_noted(
 ) -> None:
     World.create([[0.0, 0.1, 0.0], [0.0, 0.2, 0.1]]).save(tmp_path / "w.npz")
     file, scenario = tmp_path / "plan.json", tmp_path / "s.yaml"
-    scenario.write_text("map: w.npz\nrobots: {count: 1, susceptibility: 3, return_to: home}\nwear: {shape: 2}\n")
-    other = "wear and susceptibility and return_to"
+    scenario.write_text("map: w.npz\nrobots: {count: 1, hazard_multiplier: 3, return_to: home}\nweibull_shape: 2\n")
+    other = "weibull_shape and hazard_multiplier and return_to"
     said = f"{file} was made for another {other} than {scenario} says: its own count"
     for made_for, note in (("w.npz", said), ("s.yaml", "")):
         assert run(["plan", str(tmp_path / made_for), "--robots", "1", "--out", str(file), "--force"]) == 0
@@ -612,7 +612,7 @@ WIDTHS = (80, 100, 120)
 THREAT = np.zeros((6, 9))
 THREAT[1:3, 3:7], THREAT[4:, 6:], THREAT[0, 8] = 0.2, 0.05, np.nan
 FEW, TEAM = ["--rollouts", "64"], ["--robots", "3"]
-CLOSED, FRONT = ["evaluate", "map.npz", *TEAM, *FEW], ["--worths", "12.5", "--reserves", "0.25", *FEW]
+CLOSED, FRONT = ["evaluate", "map.npz", *TEAM, *FEW], ["--robot-values", "12.5", "--risk-caps", "0.25", *FEW]
 COMMANDS = {
     "evaluate": [*CLOSED, "--threat-scale", "0.5,2", "--deadline", "40", "--theory"],
     "open loop": [*CLOSED, "--loop", "open", "--theory"],
@@ -627,7 +627,7 @@ COMMANDS = {
     "clear": ["clear", "map.npz", *TEAM, *FEW],
     "attack": ["attack", "map.npz", *TEAM, *FEW],
     "attack on value": ["attack", "valued.yaml", "--count", "2", "--p", "0.4", *FEW],
-    "compare": ["compare", "map.npz", *TEAM, "--b.policy", "per_cell", "--b.worth", "12.5", *FEW],
+    "compare": ["compare", "map.npz", *TEAM, "--b.policy", "per_cell", "--b.robot-value", "12.5", *FEW],
     "check": ["check", "map.npz", *TEAM, *FEW],
     "check of many": ["check", "--worlds", "2", "--robots", "1,2,3,4,12", "--size", "6x6", "--processes", "1", *FEW],
     "plan": ["plan", "map.npz", *TEAM],
@@ -646,7 +646,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("tables")
     World.create(THREAT).save(made / "map.npz")
     scenario = {"map": "map.npz", "robots": {"count": 3}}
-    doubt = {"uncertain": {"spread": {"kind": "lognormal", "sigma": 0.5, "by": "common"}}}
+    doubt = {"map_uncertainty": {"spread": {"kind": "lognormal", "sigma": 0.5, "by": "common"}}}
     (made / "valued.yaml").write_text(json.dumps(scenario | {"value": 1234.5, "detect": 0.5}))
     (made / "doubtful.yaml").write_text(json.dumps(scenario | doubt))
     settings = {

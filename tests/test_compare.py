@@ -88,7 +88,7 @@ def test_rests_of_two_missions_differ_by_what_they_go_on_from(tmp_path: Path) ->
         state = {"format": "mrac-state", "version": 1, "step": 1, "visited": [[0, 0], [0, 1]],
                  "robots": [{"cell": [0, 1], "exposure": borne}]}  # fmt: skip
         (tmp_path / name).write_text(json.dumps(state))
-        plan = mrac.plan(world, state=tmp_path / name, wear=3.0)
+        plan = mrac.plan(world, state=tmp_path / name, weibull_shape=3.0)
         sides.append(make_side(world, plan, RolloutChoices(rollouts=20_000)))
     found = compare(*sides)
     assert found.differing == (("its own state",), ("another state",))
@@ -119,9 +119,9 @@ def test_the_sentence_says_what_differs(capsys: pytest.CaptureFixture[str], tmp_
     assert "than A (1 robot, risk paper) on average" in found["answer"]
     assert found["differing"] == {"a": ["1 robot", "risk paper"], "b": ["4 robots", "risk log"]}
 
-    limited = ("--policy", "per_cell", "--worth", "30.5")
+    limited = ("--policy", "per_cell", "--robot-value", "30.5")
     found = answer(capsys, WORLD, *limited, "--b.policy", "mrac", "--rollouts", "64")
-    assert found["differing"] == {"a": ["policy per_cell", "worth 30.5"], "b": ["policy mrac", "no worth"]}
+    assert found["differing"] == {"a": ["policy per_cell", "robot value 30.5"], "b": ["policy mrac", "no robot value"]}
 
     found = answer(capsys, WORLD, "--deadline", "90", "--b.return-to", "home", "--rollouts", "64")
     assert found["differing"] == {"a": ["no return to"], "b": ["return to home"]}  # the deadline is both sides'
@@ -145,12 +145,12 @@ def test_the_sentence_says_what_differs(capsys: pytest.CaptureFixture[str], tmp_
 def test_two_sensors_on_the_same_luck(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """B's option is one of A's team's; the means are those of each by itself, and not to see a difference of maps."""
     scenario = tmp_path / "dark.yaml"
-    scenario.write_text(f"map: {WORLD}\nprior: {{p: 0.04}}\nsense: 2\nrobots: {{count: 3}}\n")
+    scenario.write_text(f"map: {WORLD}\nprior_map: {{p: 0.04}}\nsensor_range: 2\nrobots: {{count: 3}}\n")
     asked = (
         str(scenario),
         "--robots",
         "2",
-        "--sense",
+        "--sensor-range",
         "1",
         "--b.sense",
         "inf",
@@ -180,7 +180,7 @@ def test_two_sensors_on_the_same_luck(capsys: pytest.CaptureFixture[str], tmp_pa
         sides = (make_side(w, make_plan(w, told[1].starts), RolloutChoices(rollouts=64)) for w in (one, dark))
         assert compare(*sides).differing == ((words,), ("robots see 2 cells far",))
     assert "error: B:" in (said := error_of(capsys, "compare", WORLD, "--b.sense", "1")) and "nothing to sense" in said
-    assert "--sense 'far'" in error_of(capsys, "compare", str(scenario), "--sense", "far")
+    assert "--sensor-range 'far'" in error_of(capsys, "compare", str(scenario), "--sensor-range", "far")
 
 
 def test_the_interval_holds_the_exact_difference() -> None:

@@ -141,7 +141,10 @@ WRONG = {
         "bound, theory, progress, on_interrupt; give it to `plan`, and the plan to `check`",
     ),
     "misspelt of front": (lambda world, plan: mrac.evaluate(world, loses=1), "did you mean 'losses', an argument of"),
-    "plural": (lambda world, plan: mrac.front(world, 2, worth=3), "did you mean 'worths'? worth is an argument of"),
+    "plural": (
+        lambda world, plan: mrac.front(world, 2, robot_value=3),
+        "did you mean 'robot_values'? robot_value is an argument of",
+    ),
     "of an environment": (lambda world, plan: mrac.env(world, 2, actionz="areas"), "did you mean 'actions'?"),
     "of a world": (lambda world, plan: mrac.with_sense(world, ranges=2), "with_sense has no argument 'ranges'"),
     "no value": (

@@ -41,7 +41,7 @@ ENDINGS: dict[str, tuple[dict[str, Any], str]] = {
     "no_progress": ({"range": 2}, "stuck"),
     "step_limit": ({"max_steps": 2}, "timeout"),
     "deadline": ({"deadline": 2}, "timeout"),
-    "not_worth_the_risk": ({"policy": "per_cell", "worth": 1000.0}, "called_off"),
+    "not_worth_the_risk": ({"policy": "per_cell", "robot_value": 1000.0}, "called_off"),
     "ended_by_operator": ({"return_to": "home"}, "called_off"),
 }
 """Settings of missions on ROW by how they end, with the word of release 0.3 for it."""
@@ -172,10 +172,10 @@ def test_where_there_is_no_outlook_that_is_said_before_any_order(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     np.save(tmp_path / "m.npy", np.array([[0.0, 0.1, 0.1]]))
-    (tmp_path / "m.yaml").write_text("map: m.npy\nhazard: {kind: consumed}\n")
+    (tmp_path / "m.yaml").write_text("map: m.npy\nlatent_hazard: {kind: consumed}\n")
     assert run(["drive", str(tmp_path / "m.yaml"), "--outlook"]) == 2
     said = capfd.readouterr()
-    assert not said.out and "leave `hazard`" in said.err
+    assert not said.out and "leave `latent_hazard`" in said.err
 
 
 def test_a_mission_that_is_over_says_the_time_of_the_run() -> None:
@@ -404,12 +404,12 @@ def test_a_state_file_with_an_unknown_outcome_is_refused(tmp_path: Path) -> None
             ended(file, ROW, plan)
 
 
-@pytest.mark.parametrize(("worth", "ending"), [(None, "ended_by_operator"), (1000.0, "not_worth_the_risk")])
-def test_who_ended_a_mission_on_its_way_home_is_kept(tmp_path: Path, worth: float | None, ending: str) -> None:
+@pytest.mark.parametrize(("robot_value", "ending"), [(None, "ended_by_operator"), (1000.0, "not_worth_the_risk")])
+def test_who_ended_a_mission_on_its_way_home_is_kept(tmp_path: Path, robot_value: float | None, ending: str) -> None:
     """What ended it first stays the reason, across a file too."""
-    file, policy = tmp_path / "now.json", {"policy": "per_cell", "worth": worth} if worth else {}
+    file, policy = tmp_path / "now.json", {"policy": "per_cell", "robot_value": robot_value} if robot_value else {}
     plan = mrac.plan(ROW, starts=[[0, 0]], return_to="home", **policy)
-    mission, operator = DrivenMission(ROW, plan), worth is None
+    mission, operator = DrivenMission(ROW, plan), robot_value is None
     while mission._fleet.over is None:
         obey(mission)
         if operator and mission.step == 3:
@@ -533,7 +533,7 @@ def test_what_if_is_on_common_luck() -> None:
     assert off.covered.mean == pytest.approx(mission.covered - off.now.covered.mean)
     fewer = mission.what_if(without=[0], rollouts=1024)
     assert fewer.covered.mean <= 0 and fewer.now.covered.mean == off.now.covered.mean
-    other = mission.what_if(policy="per_cell", worth=8.0, rollouts=1024)
+    other = mission.what_if(policy="per_cell", robot_value=8.0, rollouts=1024)
     assert other.lost.mean <= 0 and other.to_json()["difference"]["lost"]["mean"] == other.lost.mean
     for more in ({"without": [0]}, {"policy": "per_cell"}):
         with pytest.raises(UsageError, match="called off"):

@@ -59,7 +59,7 @@ def test_gymnasium_conforms() -> None:
 def test_many_environments_are_single_ones_side_by_side() -> None:
     """The vector environment against a single one for each rollout; one that is over begins its next rollout."""
     count, seed = 4, 7
-    given: dict[str, Any] = {"robots": ROBOTS, "max_steps": 12, "worth": 2.0}
+    given: dict[str, Any] = {"robots": ROBOTS, "max_steps": 12, "robot_value": 2.0}
     many = mrac.env(world(), face="vector", num_envs=count, **given)
     one = mrac.env(world(), face="gymnasium", **given)
     actions = np.random.default_rng(2).integers(0, 5, (30, count, ROBOTS))

@@ -44,10 +44,10 @@ ROWS, COLS, ROBOTS, STEPS = 7, 9, 3, 150
 class Twin:
     """The rules in plain Python: sets of cells, and whole numbers of what robots bear and what a visit adds."""
 
-    def __init__(self, world: World, starts: list[int], bears: list[int], worth: float, max_steps: int) -> None:
+    def __init__(self, world: World, starts: list[int], bears: list[int], robot_value: float, max_steps: int) -> None:
         self.exposure = exposure_of(world.threat).ravel().tolist()
         self.free = set(np.flatnonzero(world.free).tolist())
-        self.worth, self.max_steps, self.step, self.width = worth, max_steps, 0, world.shape[1]
+        self.robot_value, self.max_steps, self.step, self.width = robot_value, max_steps, 0, world.shape[1]
         self.at, self.left = list(starts), list(bears)
         self.alive, self.visited = [True] * len(starts), set[int]()
         for robot, cell in enumerate(starts):
@@ -60,7 +60,7 @@ class Twin:
         self.at[robot] = cell
         self.left[robot] -= self.exposure[cell]
         self.alive[robot] = self.left[robot] > 0
-        return new - self.worth * (not self.alive[robot])
+        return new - self.robot_value * (not self.alive[robot])
 
     def move(self, actions: list[int]) -> list[float]:
         """The rewards of a step."""
@@ -108,7 +108,7 @@ def test_tolerances_are_those_of_the_plain_numbers() -> None:
 
 def test_transitions_are_those_of_the_plain_rules() -> None:
     """20,000 steps of the team, event for event: places, rewards, who is lost, what was visited, the end."""
-    env, seed, rollouts = made(worth=2.5, max_steps=STEPS), 2**40 + 11, np.arange(300)
+    env, seed, rollouts = made(robot_value=2.5, max_steps=STEPS), 2**40 + 11, np.arange(300)
     states, draw = begin(env, seed, rollouts), np.random.default_rng(3)
     starts, bears = (env.starts @ [COLS, 1]).tolist(), tolerances(seed, rollouts, ROBOTS).tolist()
     twins = [Twin(env.world, starts, of, 2.5, STEPS) for of in bears]
@@ -178,7 +178,7 @@ def test_of_a_batch_those_that_are_over_begin_anew() -> None:
 
 def test_a_lost_robot_stays_and_has_no_reward() -> None:
     world = World.create([[0.0, 0.999, 0.0], [0.0, 0.0, 0.0]])
-    env = CoverageEnv(world, starts=[[0, 0], [1, 0]], worth=10.0)
+    env = CoverageEnv(world, starts=[[0, 0], [1, 0]], robot_value=10.0)
     state, east, take = jax.jit(env.reset)(jax.random.key(1))[1], ACTIONS.index("east"), jax.jit(env.step_env)
     _, state, rewards, dones, infos = take(jax.random.key(0), state, {"agent_0": east, "agent_1": east})
     assert rewards["agent_0"] == 1 - 10 and rewards["agent_1"] == 1
@@ -227,7 +227,7 @@ def test_planes(view: int | None) -> None:
 
 def test_what_cannot_be_is_refused() -> None:
     env = made()
-    for wrong in ({"view": -1}, {"view": 1.5}, {"worth": -1}, {"max_steps": 0}):
+    for wrong in ({"view": -1}, {"view": 1.5}, {"robot_value": -1}, {"max_steps": 0}):
         with pytest.raises(InputError):
             CoverageEnv(env.world, **wrong)
     with pytest.raises(InputError, match="value"):
@@ -334,7 +334,7 @@ def test_so_it_is_when_it_is_judged(rule: str) -> None:
     assert "random areas" in repr(judged)
 
 
-@pytest.mark.parametrize("asked", [{"levels": 2}, {"in_area": "rows"}, {"policy": "per_cell", "worth": 1.0}])
+@pytest.mark.parametrize("asked", [{"levels": 2}, {"in_area": "rows"}, {"policy": "per_cell", "robot_value": 1.0}])
 @pytest.mark.parametrize("rule", ["mrac", "per_cell"])
 def test_what_a_world_asks_of_the_planner_counts(asked: dict[str, Any], rule: str) -> None:
     """As in `evaluate` with that policy, which leaves the world's own policy and its limits behind."""
@@ -347,7 +347,7 @@ def test_what_a_world_asks_of_the_planner_counts(asked: dict[str, Any], rule: st
         assert figures.losses.mean == pytest.approx(3 - found.alive.mean(), rel=1e-12)
     assert judged.steps.mean == found.time.mean()
     plain = mrac.judge(world(), lambda seen: np.ones(len(seen), np.int64), 3, **given)
-    assert ("worth" in asked) == (plain.to_json() == judged.to_json())
+    assert ("robot_value" in asked) == (plain.to_json() == judged.to_json())
 
 
 def of_offer(order: Any) -> Any:
@@ -375,7 +375,7 @@ def test_observations_are_what_a_rule_sees() -> None:
 
 def test_rewards_masks_and_the_end() -> None:
     """Rewards sum up to the cells visited less the worth of the lost; one robot at a time has offers."""
-    env = mrac.env(world(), 4, actions="areas", worth=3.0, face="gymnasium")
+    env = mrac.env(world(), 4, actions="areas", robot_value=3.0, face="gymnasium")
     draw, asked, lost = np.random.default_rng(1), 0, 0
     env.reset(seed=5)
     for episode in range(15):
@@ -431,7 +431,7 @@ def test_pettingzoo_and_gymnasium_conform() -> None:
 
 
 def test_many_are_single_ones_side_by_side() -> None:
-    given: dict[str, Any] = {"robots": 3, "actions": "areas", "rule": "per_cell", "worth": 1.0}
+    given: dict[str, Any] = {"robots": 3, "actions": "areas", "rule": "per_cell", "robot_value": 1.0}
     many = mrac.env(world(), face="vector", num_envs=2, **given)
     ones = [mrac.env(world(), face="gymnasium", **given) for _ in range(2)]
     seen, _ = many.reset(seed=9)
@@ -457,7 +457,7 @@ def test_many_are_single_ones_side_by_side() -> None:
 
 
 def test_what_cannot_be_is_refused_areas() -> None:
-    for wrong in ({"view": 2}, {"offers": 0}, {"face": "jax"}, {"worth": -1}):
+    for wrong in ({"view": 2}, {"offers": 0}, {"face": "jax"}, {"robot_value": -1}):
         with pytest.raises(mrac.InputError):
             mrac.env(world(), 2, actions="areas", **wrong)
     for also in ({"rule": "mrac"}, {"offers": 3}, {"actions": "area"}):
@@ -470,12 +470,12 @@ def test_what_cannot_be_is_refused_areas() -> None:
         with pytest.raises(mrac.InputError, match="the environment with radio"):
             mrac.env(apart, 2, **asked)
     odd = {
-        "wear": 2.0,
-        "susceptibility": (1.0, 3.0),
+        "weibull_shape": 2.0,
+        "hazard_multiplier": (1.0, 3.0),
         "range": 9,
         "return_to": "home",
         "deadline": 12,
-        "plan_for": "open",
+        "plan_for": "open_loop",
     }
     for name, value in odd.items():
         apart = replace(world(), team=Team(settings={name: value}))
@@ -484,7 +484,9 @@ def test_what_cannot_be_is_refused_areas() -> None:
                 mrac.env(apart, 2, **asked)
             with pytest.raises(mrac.InputError, match=f"the environment with {name}"):
                 mrac.judge(apart, lambda seen: [0] * 2, 2, rollouts=2, **asked)
-    plain = replace(world(), team=Team(settings={"wear": 1.0, "susceptibility": (1.0, 1.0), "plan_for": "closed"}))
+    plain = replace(
+        world(), team=Team(settings={"weibull_shape": 1.0, "hazard_multiplier": (1.0, 1.0), "plan_for": "closed_loop"})
+    )
     assert mrac.env(plain, 2).possible_agents == mrac.env(world(), 2).possible_agents
     with pytest.raises(mrac.InputError, match="policy returned"):
         mrac.judge(world(), lambda seen: [9] * 2, 2, actions="areas", rollouts=2)

@@ -194,7 +194,7 @@ COUNT, SENSED = 600, (0, 1, 3)
 
 @pytest.fixture(scope="module")
 def answer() -> Evaluation:
-    return mrac.evaluate(DARK, sense=SENSED, rollouts=COUNT, exact="never", advice=False, band=False)
+    return mrac.evaluate(DARK, sensor_range=SENSED, rollouts=COUNT, exact="never", advice=False, band=False)
 
 
 def visited(world: World, plan: Plan, count: int) -> np.ndarray:
@@ -350,16 +350,16 @@ def test_no_range_is_no_list_of_ranges() -> None:
 
 
 @pytest.mark.parametrize(
-    ("world", "sense", "words"),
+    ("world", "sensor_range", "words"),
     [
         (TOLD, (1,), "robots are told the map"),
         (DARK, (0.5,), "0, or a number of cells from 1 on"),
         (mrac.with_prior(TOLD, 0.04, sense=2), (0,), "wrong about an obstacle"),
     ],
 )
-def test_what_cannot_be_sensed_is_said(world: World, sense: tuple[float, ...], words: str) -> None:
+def test_what_cannot_be_sensed_is_said(world: World, sensor_range: tuple[float, ...], words: str) -> None:
     with pytest.raises(InputError, match=words):
-        mrac.evaluate(world, sense=sense, rollouts=10)
+        mrac.evaluate(world, sensor_range=sensor_range, rollouts=10)
 
 
 # `evaluate` of robots that learn about hazards: beside told and blind ones on the same luck, and what they know.
@@ -418,7 +418,7 @@ def test_who_hears_nothing_may_take_what_the_plan_left_out():
     q = np.array([[0, 0, 0], [0, 0, 0.5]])
     world = mrac.with_hazard(mrac.load(np.zeros((2, 3))), "persistent", q, 0.5, learn=True)
     world = mrac.with_sense(world, {"range": 2, "detect": 0.9, "false_alarm": 0.1})
-    plan = mrac.plan(world, starts=[[0, 0]], policy="per_cell", worth=20)
+    plan = mrac.plan(world, starts=[[0, 0]], policy="per_cell", robot_value=20)
     assert is_certain(world, plan, "open") and not is_certain(world, plan)
     answer = mrac.evaluate(world, plan, rollouts=300, **QUIET_EXPERIENCE)
     assert answer.tally.rollouts == 300 and 50 < answer.tally.visited[6] < 250
@@ -561,7 +561,7 @@ def decoded_topics(world: World, path: Path) -> set[str]:
 
 @pytest.mark.parametrize("ask", PRESUME_THREATS_THAT_STAY)
 def test_what_presumes_threats_that_stand_says_so(ask: Callable[[World], Any], world: World) -> None:
-    with pytest.raises(InputError, match=r"here: threats that move: .*; leave `movers` out"):
+    with pytest.raises(InputError, match=r"here: threats that move: .*; leave `moving_threats` out"):
         ask(world)
 
 
@@ -569,7 +569,7 @@ def test_a_scenario_says_what_robots_plan_on_and_not_that_all_survive(tmp_path: 
     """Where nothing but walkers is dangerous; one line where `plan_on` is left out, none where it is given."""
     np.save(tmp_path / "m.npy", np.zeros((3, 3)))
     for more, notes in (("", 1), ("plan_on: patrols\n", 0), ("plan_on: joined\n", 0)):
-        (tmp_path / "s.yaml").write_text(f"map: m.npy\nmovers: [{{walk: 0.5, h: 0.2}}]\n{more}")
+        (tmp_path / "s.yaml").write_text(f"map: m.npy\nmoving_threats: [{{walk: 0.5, h: 0.2}}]\n{more}")
         task = load_task(Asked(str(tmp_path / "s.yaml"), Choices()))
         assert sum("`plan_on` is not given" in note for note in task.notes) == notes
         assert not any("every robot survives" in note for note in task.notes)

@@ -234,7 +234,7 @@ def test_the_last_move_is_told_only_where_nobody_waits_for_news() -> None:
         (mrac.with_phases(world, [(50, later)]), "a run takes 46 steps"),
         (mrac.with_phases(world, [(9, later)]), "a run takes 9 steps"),
     ):
-        answer = mrac.evaluate(asked, mrac.plan(asked, 1, policy="per_cell", worth=4), rollouts=64, advice=False)
+        answer = mrac.evaluate(asked, mrac.plan(asked, 1, policy="per_cell", robot_value=4), rollouts=64, advice=False)
         assert chances_words(answer) == f"Every accessible cell is visited in no run; {said} on average."
 
 
@@ -421,10 +421,10 @@ def test_what_a_plan_is_has_words_and_no_codes() -> None:
 
 def test_a_plan_says_its_policy_and_whether_robots_come_home() -> None:
     world = World.create([[0.0, 0.2, 0.0, 0.0]])
-    settings = Settings(policy="watchful", reserve=0.5, return_to="home", range=4)
+    settings = Settings(policy="watchful", risk_cap=0.5, return_to="home", range=4)
     plan = make_plan(world, [[0, 0]], settings)
     ended = f"the mission {NO_MORE}"
-    assert plan_words(plan) == f"watchful, reserve 0.5; 3 areas; if nobody is lost, {ended}"
+    assert plan_words(plan) == f"watchful, risk cap 0.5; 3 areas; if nobody is lost, {ended}"
     (table, *_) = answer_tables(mrac.evaluate(world, plan, rollouts=64, advice=False))
     assert f"chance that it {NO_MORE}" in list(table.columns[0].cells)
 
@@ -479,14 +479,14 @@ def test_who_always_comes_home_is_said_in_good_words(robots: int) -> None:
 def test_the_end_that_a_plan_names_is_that_of_its_rollouts() -> None:
     """Where the rest is not worth the risk, a mission ends some steps after its last move: both say so alike."""
     world = World.create(np.array([[0.0, 0.0, 0.0, 0.5, 0.0]]))
-    for worth, said in (
+    for robot_value, said in (
         (None, "makespan 4 steps, 4 moves, 0 quarter turns"),
         (1000.0, "the last move is at step 2, the end 2 steps later, 2 moves, 0 quarter turns"),
     ):
-        plan = make_plan(world, np.array([[0, 0]]), Settings(policy="per_cell", worth=worth))
+        plan = make_plan(world, np.array([[0, 0]]), Settings(policy="per_cell", robot_value=robot_value))
         assert span_words(plan, world.pace) == said
         ended = mrac.evaluate(world, plan, rollouts=64, advice=False).tally.time
-        assert plan.makespan + (2 if worth else 0) == len(ended) - 1
+        assert plan.makespan + (2 if robot_value else 0) == len(ended) - 1
 
 
 # --- one rule for shares, chances and robots lost ---
@@ -773,7 +773,7 @@ def test_the_band_is_that_of_the_same_ids_cut_off_at_every_step(
 
 
 def test_the_band_of_robots_that_wear_is_that_of_robots_that_wear(world: World) -> None:
-    plan = make_plan(world, place_starts(world, 3)[0], Settings(wear=3.0, susceptibility=(1.0, 4.0, 0.5)))
+    plan = make_plan(world, place_starts(world, 3)[0], Settings(weibull_shape=3.0, hazard_multiplier=(1.0, 4.0, 0.5)))
     choices = RolloutChoices(loop="open", rollouts=120)
     band, roll_out = band_of(world, plan, choices), make_roll_out(world, plan, choices)
     for place in range(0, len(band.steps), 25):

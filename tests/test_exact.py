@@ -346,7 +346,7 @@ def test_how_a_mission_ends_is_said_in_words() -> None:
         ({"deadline": 3}, "chance that it is cut off at the deadline"),
         ({"max_steps": 3}, "chance that it is cut off at the step limit"),
         ({"range": 3}, "chance that it ends because no robot can go on"),
-        ({"policy": "per_cell", "worth": 10}, "chance that it ends because the rest is not worth the risk"),
+        ({"policy": "per_cell", "robot_value": 10}, "chance that it ends because the rest is not worth the risk"),
     ):
         answer = mrac.evaluate(world, mrac.plan(world, 1, **asked), rollouts=64, **QUIET)
         shown = as_text(lambda console, answer=answer: print_report(report(answer), console))
@@ -364,7 +364,7 @@ def test_one_robot_s_loops_are_one() -> None:
 def test_a_robot_that_waits_before_it_gives_up_has_no_exact_time() -> None:
     """It ends two steps after its last move: the open loop's time is not the closed loop's."""
     world = World.create([[0, 0, 0.5, 0]])
-    answer = mrac.evaluate(world, mrac.plan(world, 1, policy="per_cell", worth=100), rollouts=16, **QUIET)
+    answer = mrac.evaluate(world, mrac.plan(world, 1, policy="per_cell", robot_value=100), rollouts=16, **QUIET)
     assert answer.plan.outcome == "not_worth_the_risk"
     assert answer.to_json()["exact"]["time"] is None
 

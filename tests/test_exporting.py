@@ -298,13 +298,13 @@ def test_straight_runs_by_hand() -> None:
 
 
 MOVERS = "map: {file: w.npz}\nmovers:\n- {walk: 0.5, h: 0.2, count: 3}\nrobots: {count: 2}\n"
-TOLD = "map: {file: w.npz}\ntruth: t.npy\nsense: {range: 2}\nrobots: {count: 2}\n"
+TOLD = "map: {file: w.npz}\ntrue_map: t.npy\nsensor_range: {range: 2}\nrobots: {count: 2}\n"
 
 
 def test_what_is_not_known_exactly_is_left_out_with_a_note(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two robots among movers: no NaN in any text, and one line that says what is left out."""
+    """Two robots among moving_threats: no NaN in any text, and one line that says what is left out."""
     monkeypatch.chdir(tmp_path)
     a_world().save("w.npz")
     Path("m.yaml").write_text(MOVERS)

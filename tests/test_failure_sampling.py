@@ -102,7 +102,7 @@ def test_words_tolerances_and_exposures_are_the_known_ones() -> None:
 
 
 def test_wear_and_susceptibility_are_the_known_ones() -> None:
-    for shape, pairs in WORDS["wear"]:
+    for shape, pairs in WORDS["weibull_shape"]:
         before, after = np.array(pairs).T
         assert np.array_equal(worn(before, shape), after), shape
     for before, times, after in WORDS["susceptible"]:
@@ -226,8 +226,10 @@ ROW = World.create(np.array([[0.2, 0.3, 0.0, 0.4, 0.1, 0.3]], dtype=np.float32),
 
 @cache
 def worn_plan(name: str) -> tuple[World, Plan]:
-    world, wear = world_of(name), known(name)["wear"]
-    settings = Settings(wear=wear["shape"], susceptibility=tuple(wear["susceptibility"]))
+    world, weibull_shape = world_of(name), known(name)["weibull_shape"]
+    settings = Settings(
+        weibull_shape=weibull_shape["shape"], hazard_multiplier=tuple(weibull_shape["hazard_multiplier"])
+    )
     return world, make_plan(world, world.starts, settings)
 
 
@@ -256,13 +258,13 @@ def test_an_exposure_reaches_the_tolerances_that_wear_brings_down_to_it(shape: f
 
 @pytest.mark.parametrize("name", NAMES)
 def test_worn_rollouts_are_those_of_an_independent_simulator(name: str) -> None:
-    (world, plan), wear, seed = worn_plan(name), known(name)["wear"], known(name)["seed"]
-    found = plan.bearing.tolerances(seed, range(len(wear["tolerance"])), len(plan.robots))
-    assert found.tolist() == wear["tolerance"]
+    (world, plan), weibull_shape, seed = worn_plan(name), known(name)["weibull_shape"], known(name)["seed"]
+    found = plan.bearing.tolerances(seed, range(len(weibull_shape["tolerance"])), len(plan.robots))
+    assert found.tolist() == weibull_shape["tolerance"]
     python, loop = PythonLoop(plan, world), compile_closed_loop(plan, world)
-    _, singles = run_range(loop, seed, 0, len(wear["rollouts"]), singles=True, threads=1)
+    _, singles = run_range(loop, seed, 0, len(weibull_shape["rollouts"]), singles=True, threads=1)
     assert singles is not None
-    for one in wear["rollouts"]:
+    for one in weibull_shape["rollouts"]:
         expected = [one[what] for what in FIGURES]
         run = python.run(seed, one["id"])
         assert [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum()] == expected
@@ -273,7 +275,7 @@ def test_worn_rollouts_are_those_of_an_independent_simulator(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_worn_means_are_those_of_everything_that_can_happen(name: str) -> None:
-    (world, plan), exact = worn_plan(name), known(name)["wear"]["exact"]
+    (world, plan), exact = worn_plan(name), known(name)["weibull_shape"]["exact"]
     tree = grow_tree(compile_closed_loop(plan, world), 1e-6, 10**6)
     assert tree is not None
     for figure in ("visited", "survived"):
@@ -309,7 +311,7 @@ def everything(plan: Plan, threat: np.ndarray, shape: float, times: list[float])
 
 @pytest.mark.parametrize(("shape", "times"), [(2.0, [1.0, 1.0]), (0.5, [1.0, 4.0]), (1.0, [0.25, 3.0])])
 def test_the_closed_form_is_everything_that_can_happen_and_what_rollouts_show(shape: float, times: list[float]) -> None:
-    plan = make_plan(ROW, ROW.starts, Settings(wear=shape, susceptibility=tuple(times), policy="per_cell"))
+    plan = make_plan(ROW, ROW.starts, Settings(weibull_shape=shape, hazard_multiplier=tuple(times), policy="per_cell"))
     visited, survived, alive = everything(plan, ROW.threat.ravel(), shape, times)
     exact = open_loop_exact(plan, ROW)
     found = [exact.visited, exact.survived, float(exact.survival.sum())]
@@ -321,7 +323,7 @@ def test_the_closed_form_is_everything_that_can_happen_and_what_rollouts_show(sh
 
 
 def test_doses_along_a_path_add_up_and_the_first_visit_is_not_p() -> None:
-    bearing = Bearing(shape=2.0, susceptibility=(1.0, 0.5))
+    bearing = Bearing(shape=2.0, hazard_multiplier=(1.0, 0.5))
     for robot, times in enumerate((1.0, 0.5)):
         assert bearing.first_chance(0.2, robot) == pytest.approx(1 - weibull(-math.log(0.8), 2.0, times), abs=1e-6)
     assert PLAIN.first_chance(0.2) == pytest.approx(0.2)
@@ -334,16 +336,16 @@ def test_shape_1_and_susceptibility_1_change_no_bit() -> None:
     for loop in ("closed", "open"):
         plain, ones = (
             make_engine(make_plan(world, starts, settings), world, Rolling(loop, seed=1), "numba")
-            for settings in (Settings(), Settings(wear=1.0, susceptibility=(1.0, 1.0, 1.0)))
+            for settings in (Settings(), Settings(weibull_shape=1.0, hazard_multiplier=(1.0, 1.0, 1.0)))
         )
         assert counts_of(plain.tally(0, 3000)) == counts_of(ones.tally(0, 3000))
-    assert Settings(wear=1.0, susceptibility=1).to_json() == Settings().to_json()
+    assert Settings(weibull_shape=1.0, hazard_multiplier=1).to_json() == Settings().to_json()
 
 
 @pytest.mark.parametrize("name", ["persistent", "level"])
 def test_worn_robots_on_maps_in_doubt(name: str) -> None:
     world = WORLDS[name]
-    plan = make_plan(world, place_starts(world, 2)[0], Settings(wear=2.0, susceptibility=(0.5, 3.0)))
+    plan = make_plan(world, place_starts(world, 2)[0], Settings(weibull_shape=2.0, hazard_multiplier=(0.5, 3.0)))
     play_both_ways(plan, world, 5, 20)
     opened = make_engine(plan, world, Rolling("open", seed=5), "numba")
     alone = opened.results(0, 40)
@@ -353,7 +355,7 @@ def test_worn_robots_on_maps_in_doubt(name: str) -> None:
 
 
 def test_the_rest_of_a_mission_goes_on_from_what_was_borne() -> None:
-    plan = make_plan(ROW, ROW.starts[:1], Settings(wear=1.5, susceptibility=0.5))
+    plan = make_plan(ROW, ROW.starts[:1], Settings(weibull_shape=1.5, hazard_multiplier=0.5))
     whole, step = PythonLoop(plan, ROW), 3
     state = next(filter(None, (whole.state_at(step, 1, rollout) for rollout in range(50))))
     borne = state.robots[0].exposure
@@ -382,54 +384,54 @@ def test_states_without_exposure_are_refused_where_robots_wear() -> None:
     state = parse_state(given, ROW, "state")
     make_plan(ROW, state.starts, Settings(), state=state)
     with pytest.raises(StateError, match="robot 0 has no exposure"):
-        make_plan(ROW, state.starts, Settings(wear=2.0), state=state)
+        make_plan(ROW, state.starts, Settings(weibull_shape=2.0), state=state)
     given["robots"][0]["exposure"] = 99.0
     state = parse_state(given, ROW, "state")
     with pytest.raises(StateError, match="an exposure of 99 nat"):
-        make_plan(ROW, state.starts, Settings(wear=2.0), state=state)
+        make_plan(ROW, state.starts, Settings(weibull_shape=2.0), state=state)
     with pytest.raises(StateError, match="exposure` is -1"):
         parse_state(given | {"robots": [{"cell": 3, "exposure": -1}]}, ROW, "state")
 
 
 def test_plan_files_and_paths_of_others_keep_what_robots_bear(tmp_path: Path) -> None:
-    plan = make_plan(ROW, ROW.starts, Settings(wear=2.0, susceptibility=(1.0, 0.5)))
+    plan = make_plan(ROW, ROW.starts, Settings(weibull_shape=2.0, hazard_multiplier=(1.0, 0.5)))
     plan.save(tmp_path / "plan.json")
     again = read_plan(tmp_path / "plan.json", ROW)
     assert again.bearing == plan.bearing == Bearing(2.0, (1.0, 0.5))
-    assert again.of_robots(susceptibility=1.0).bearing == Bearing(2.0, 1.0)
+    assert again.of_robots(hazard_multiplier=1.0).bearing == Bearing(2.0, 1.0)
     paths = [[[0, 2], [0, 3], [0, 4]], [[0, 2], [0, 1]]]
-    (tmp_path / "paths.json").write_text(json.dumps({"paths": paths, "susceptibility": [1, 0.5]}))
+    (tmp_path / "paths.json").write_text(json.dumps({"paths": paths, "hazard_multiplier": [1, 0.5]}))
     foreign = read_plan(tmp_path / "paths.json", ROW)
     assert foreign.bearing == Bearing(1.0, (1.0, 0.5))
     foreign.save(tmp_path / "saved.json")
     assert read_plan(tmp_path / "saved.json", ROW).bearing == foreign.bearing
     tallies = [
         make_engine(one, ROW, Rolling(loop, seed=1), "numba").tally(0, 500)
-        for one in (foreign, foreign.of_robots(susceptibility=1.0))
+        for one in (foreign, foreign.of_robots(hazard_multiplier=1.0))
         for loop in ("open", "closed")
     ]
     assert len({tally.key for tally in tallies}) == 4
     assert counts_of(tallies[0]) != counts_of(tallies[2])
     with pytest.raises(PlanError, match="3 robots for a team of 2"):
-        foreign.of_robots(susceptibility=(1.0, 1.0, 2.0))
+        foreign.of_robots(hazard_multiplier=(1.0, 1.0, 2.0))
 
 
 def test_a_scenario_says_what_its_robots_bear(tmp_path: Path) -> None:
     (tmp_path / "map.csv").write_text("0,0.2,0.3\n")
-    text = "map: map.csv\nwear: {{shape: {}}}\nrobots: {{count: 2, susceptibility: {}}}\n"
+    text = "map: map.csv\nweibull_shape: {}\nrobots: {{count: 2, hazard_multiplier: {}}}\n"
     file = tmp_path / "scenario.yaml"
     file.write_text(text.format(2, "[1, 0.5]"))
     world = load_input(file)
-    assert world.team.settings == {"wear": 2.0, "susceptibility": (1.0, 0.5)}
+    assert world.team.settings == {"weibull_shape": 2.0, "hazard_multiplier": (1.0, 0.5)}
     for shape, times in ((0.1, "1"), (17, "1"), (2, "0"), (2, "[1, 65]"), (2, "high")):
         file.write_text(text.format(shape, times))
-        with pytest.raises(ScenarioError, match=r"wear.shape|robots.susceptibility"):
+        with pytest.raises(ScenarioError, match=r"weibull_shape|robots.hazard_multiplier"):
             load_input(file)
 
 
 def test_susceptibilities_of_another_team_are_refused() -> None:
     with pytest.raises(PlanError, match="2 robots for a team of 1"):
-        make_plan(ROW, ROW.starts[:1], Settings(susceptibility=(1.0, 0.5)))
+        make_plan(ROW, ROW.starts[:1], Settings(hazard_multiplier=(1.0, 0.5)))
 
 
 # The generator against the published known-answer vectors and the fixtures' values.

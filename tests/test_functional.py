@@ -53,7 +53,7 @@ def case(kind: str) -> tuple[World, Plan]:
         return world, plan
     plan, world, _ = fixture(*(("tiny-2x8-25", 5) if kind == "shared" else ("contiguous-14x23-1001", 8)))
     multiplier = tuple(1.0 + 0.5 * robot for robot in range(len(plan.robots)))
-    return world, plan.of_robots(wear=1.5, susceptibility=multiplier) if kind == "both" else plan
+    return world, plan.of_robots(weibull_shape=1.5, hazard_multiplier=multiplier) if kind == "both" else plan
 
 
 @pytest.fixture(autouse=True)
@@ -437,7 +437,7 @@ def test_what_has_no_closed_loop_gradient_is_refused(monkeypatch: pytest.MonkeyP
     with pytest.raises(WorldError, match="presumes one known map"):
         closed_loop_gradient(doubtful, at(plan, doubtful))
     with pytest.raises(PlanError, match=r"robots that wear .* leave `wear`"):
-        closed_loop_gradient(world, plan.of_robots(wear=2.0))
+        closed_loop_gradient(world, plan.of_robots(weibull_shape=2.0))
     with pytest.raises(WorldError, match=r"p: shape \[4, 4\]; expected \[4, 5\]"):
         closed_loop_gradient(world, plan, world.threat[:, :4])
     bad = np.where(world.free, np.float32(1.0), np.nan)

@@ -80,7 +80,7 @@ def test_the_survey_of_worlds_by_all_rules() -> None:
             assert "too dear" in str(error)
             continue
         (run,) = play_both_ways(plan, one.world, 5, 1, first_only=one.first_only)
-        assert (run.trace.events[:, 2] != EventKind.REFUSED).all() or "worth" in limits
+        assert (run.trace.events[:, 2] != EventKind.REFUSED).all() or "robot_value" in limits
         counts += np.bincount(run.trace.events[:, 2], minlength=len(EventKind))
         if order != "nearest":
             usual = make_plan(one.world, one.starts, replace(asked, in_area="nearest"))

@@ -133,8 +133,8 @@ def drawn(number, stream):
 
 
 POLICIES_UNKNOWN: tuple[dict[str, Any], ...] = (
-    {"policy": "mrac"}, {"policy": "per_cell"}, {"policy": "per_cell", "reserve": 0.5},
-    {"policy": "per_cell", "worth": 3.0}, {"policy": "frontier"}, {"policy": "frontier", "reserve": 0.5},
+    {"policy": "mrac"}, {"policy": "per_cell"}, {"policy": "per_cell", "risk_cap": 0.5},
+    {"policy": "per_cell", "robot_value": 3.0}, {"policy": "frontier"}, {"policy": "frontier", "risk_cap": 0.5},
     {"policy": "watchful"},
 )  # fmt: skip
 
@@ -157,7 +157,7 @@ def fuzz(number):
         return
     assert left.any() and run.alive.any()
     assert run.outcome in (Outcome.NO_PROGRESS, Outcome.NOT_WORTH_THE_RISK)
-    if settings.range is None and settings.worth is None and settings.reserve is None:
+    if settings.range is None and settings.robot_value is None and settings.risk_cap is None:
         trace = run.trace
         looked = np.unique(trace.cells[trace.doing != Doing.DEAD])
         seen = np.zeros(accessible.size, dtype=np.bool_)
@@ -617,18 +617,18 @@ def test_every_scripted_run_is_that_of_a_twin_written_from_the_rules_experience(
             np.testing.assert_allclose(mine, [twin.chance[cell] for cell in cells], atol=2e-5)
 
 
-@pytest.mark.parametrize(("detect", "false_alarm", "worth", "time"), [(0.7, 0.3, 8, 6), (0.6, 0.3, 32, 9)])
-def test_a_detector_that_changes_the_map_keeps_a_waiting_team_up(detect, false_alarm, worth, time):
+@pytest.mark.parametrize(("detect", "false_alarm", "robot_value", "time"), [(0.7, 0.3, 8, 6), (0.6, 0.3, 32, 9)])
+def test_a_detector_that_changes_the_map_keeps_a_waiting_team_up(detect, false_alarm, robot_value, time):
     """`0 q 0 0`, q = .5, h = .9: nobody goes at first. Each silent step takes ln((1 - a) / (1 - b)) nats off, and in
     the steps in which that is another class the map changes; at the least class, or before, the robot goes.
     """
     world = taught([[0, 0.5, 0, 0]], np.full((1, 4), 0.9), "persistent", (1, detect, false_alarm))
-    plan = make_plan(world, [[0, 0]], Settings(policy="per_cell", worth=worth))
+    plan = make_plan(world, [[0, 0]], Settings(policy="per_cell", robot_value=robot_value))
     assert (plan.outcome, plan.time) == ("not_worth_the_risk", 2)  # in the nominal run nobody learns
     loop = compile_closed_loop(plan, world, interpreted=True)
     _, run = played(loop, nothing, nothing)
     assert (run.outcome.name, run.time, int(run.visited.sum())) == ("COMPLETE", time, 4)
-    play_both_ways(plan, world, worth, 12)
+    play_both_ways(plan, world, robot_value, 12)
 
 
 def test_all_that_can_happen_on_a_hidden_map_is_what_rollouts_come_to():
@@ -786,12 +786,12 @@ def test_scenarios_and_world_files_keep_it(tmp_path):
     assert again.luck_sha256 == world.luck_sha256
     assert again.doubt.detector == world.doubt.detector
     World.create(world.doubt.q).save(tmp_path / "q.npz")
-    text = "map: q.npz\nhazard: {kind: consumed, h: 0.5, learn: true}\nsense: {range: 2, %s}\n"
+    text = "map: q.npz\nlatent_hazard: {kind: consumed, h: 0.5, learn: true}\nsensor_range: {range: 2, %s}\n"
     (tmp_path / "s.yaml").write_text(text % "sight: true, detect: 0.8, false_alarm: 0.1")
     assert load_input(tmp_path / "s.yaml").luck_sha256 == world.luck_sha256
     for wrong in ("detect: 0.8", "detect: 2, false_alarm: 0"):
         (tmp_path / "s.yaml").write_text(text % wrong)
-        with pytest.raises(InputError, match="sense"):
+        with pytest.raises(InputError, match="sensor_range"):
             load_input(tmp_path / "s.yaml")
 
 

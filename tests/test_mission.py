@@ -42,12 +42,12 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "mrac, deadline": {"deadline": 25},
     "per_cell": {"policy": "per_cell"},
     "per_cell, log": {"policy": "per_cell", "risk": "log"},
-    "reserve": {"policy": "per_cell", "reserve": 0.3},
-    "worth": {"policy": "per_cell", "worth": 12.0, "reserve": 0.5},
+    "risk_cap": {"policy": "per_cell", "risk_cap": 0.3},
+    "robot_value": {"policy": "per_cell", "robot_value": 12.0, "risk_cap": 0.5},
     "per_cell, range": {"policy": "per_cell", "range": (20, 30, 40, 50)},
-    "wear": {"wear": 2.0, "susceptibility": (1.0, 0.5, 2.0, 1.0)},
+    "weibull_shape": {"weibull_shape": 2.0, "hazard_multiplier": (1.0, 0.5, 2.0, 1.0)},
     "home": {"return_to": "home", "range": 40},
-    "nearest, deadline": {"return_to": "nearest", "deadline": 40, "policy": "per_cell", "worth": 15.0},
+    "nearest, deadline": {"return_to": "nearest", "deadline": 40, "policy": "per_cell", "robot_value": 15.0},
     "straight on": {"in_area": "boustrophedon"},
     "own rule": {"policy": Rule("by_size", lambda offer: ((offer.level, 1), (-offer.unvisited, 1)))},
 }
@@ -146,7 +146,7 @@ def test_so_it_is_on_maps_in_doubt_and_where_cells_have_a_value_or_priority(seed
         doubtful = with_maps(world, [world.threat, world.threat / 2, np.where(world.threat > 0, 0.5, world.threat)])
         valued = world.with_values(np.arange(world.threat.size).reshape(world.shape) % 5)
         first = tuple((1 + np.arange(world.threat.size) * 7 % 10).tolist())
-        ordered = Settings(policy="watchful", reserve=0.3, priority=first)
+        ordered = Settings(policy="watchful", risk_cap=0.3, priority=first)
         for there, by in ((doubtful, Settings()), (valued, Settings(policy="per_cell")), (world, ordered)):
             planned = make_plan(there, plan.starts, by)
             for rollout in range(2):
@@ -184,7 +184,7 @@ def test_so_it_is_from_a_state_and_through_its_file(more: dict[str, Any], every:
 
 
 def test_in_which_order_robots_report_in_a_step_is_all_one() -> None:
-    world, plan = case(2, policy="per_cell", reserve=0.3)
+    world, plan = case(2, policy="per_cell", risk_cap=0.3)
     stream, missions = Stream(5, 32), [Mission(world, plan) for _ in range(3)]
     luck = Luck(world, 5, 0)
     while missions[0].outcome is None:
@@ -631,7 +631,7 @@ def test_a_fleet_that_does_all_wrong_breaks_nothing(seeds: list[int], others: ra
 
 def test_a_robot_that_bore_more_than_any_luck_goes_on(tmp_path: Path) -> None:
     world = World.create(np.full((1, 40), 0.9))
-    plan = make_plan(world, [[0, 0]], Settings(wear=4.0, susceptibility=2.0))
+    plan = make_plan(world, [[0, 0]], Settings(weibull_shape=4.0, hazard_multiplier=2.0))
     mission, file = Mission(world, plan), tmp_path / "now.json"
     for _ in range(20):  # more than 60 nat: nobody bears 23 of them, worn or not
         obey(mission)
@@ -708,7 +708,7 @@ def test_a_mission_waits_for_a_phase_that_is_announced(more: dict[str, Any], tmp
     home = 3 if more else 0
     for f in (1, 3, 4, 9):
         world = with_phases(World.create([[0, 0.5, 0, 0]]), [(f, np.zeros((1, 4)))])
-        settings = Settings(policy="per_cell", worth=4.0, **more)
+        settings = Settings(policy="per_cell", robot_value=4.0, **more)
         places, trace = drive(world, [[0, 0]], settings, f, tmp_path / "m.json" if f > 3 else None)
         assert (trace.outcome, trace.time) == (Outcome.COMPLETE, f + 3 + home)
         assert places.ravel().tolist() == [0] * (f + 1) + [1, 2, 3] + [2, 1, 0] * bool(home)
@@ -736,7 +736,7 @@ def test_what_a_visit_and_a_stop_say_is_bayes_rule(tmp_path: Path) -> None:
 
 def test_what_is_borne_is_of_the_phase() -> None:
     world = with_phases(World.create([[0.0, 0.1, 0.1]]), [(2, [[0.0, 0.2, 0.3]])], "first")
-    mission = Mission(world, make_plan(world, [[0, 0]], Settings(wear=2.0)))
+    mission = Mission(world, make_plan(world, [[0, 0]], Settings(weibull_shape=2.0)))
     for place in ([0, 0], [0, 1], [0, 2]):
         mission.report(0, place)
         mission.advance()

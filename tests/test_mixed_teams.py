@@ -39,17 +39,17 @@ from planner.world.world import World, world_of
 KINDS: list[dict[str, Any]] = [
     {},
     {"policy": "per_cell"},
-    {"policy": "per_cell", "reserve": 0.4, "worth": 30.0},
-    {"policy": "watchful", "reserve": 0.4},
-    {"policy": "per_cell", "range": 60, "susceptibility": (1.0, 0.5, 2.0)},
+    {"policy": "per_cell", "risk_cap": 0.4, "robot_value": 30.0},
+    {"policy": "watchful", "risk_cap": 0.4},
+    {"policy": "per_cell", "range": 60, "hazard_multiplier": (1.0, 0.5, 2.0)},
     {"risk": "log", "levels": 3, "in_area": "boustrophedon"},
-    {"policy": "watchful", "worth": 20.0, "levels": 3},
+    {"policy": "watchful", "robot_value": 20.0, "levels": 3},
 ]
 HOMES: list[dict[str, Any]] = [
     {"return_to": "home", "deadline": 40},
     {"return_to": "nearest", "range": 30, "recharge": 3},
-    {"return_to": "home", "range": 40, "policy": "per_cell", "reserve": 0.4, "worth": 30.0},
-    {"return_to": "nearest", "range": 45, "policy": "watchful", "reserve": 0.4},
+    {"return_to": "home", "range": 40, "policy": "per_cell", "risk_cap": 0.4, "robot_value": 30.0},
+    {"return_to": "nearest", "range": 45, "policy": "watchful", "risk_cap": 0.4},
 ]
 
 
@@ -230,7 +230,7 @@ def test_teams_of_unknown_types_and_what_does_not_know_types(tmp_path: Path) -> 
             make_plan(world, starts, Settings(types=types))
     with pytest.raises(InputError, match="knows no types of robots"):
         make_plan(replace(world, types=None), starts, Settings(types="drone"))
-    for more in ({"transit": "area"}, {"plan_for": "open"}):
+    for more in ({"transit": "area"}, {"plan_for": "open_loop"}):
         with pytest.raises(InputError, match="types"):
             plan_team(world, starts, Settings(types=("drone", "rover"), **more))
     hazard = with_hazard(replace(world, types=None), "persistent", 0.1)
@@ -298,8 +298,8 @@ def test_robots_leave_to_a_type_what_it_covers_for_less() -> None:
 KINDS_SPEEDS: list[dict[str, Any]] = [
     {},
     {"policy": "per_cell"},
-    {"policy": "per_cell", "reserve": 0.4, "worth": 30.0, "range": (40, 20, 60)},
-    {"policy": "watchful", "reserve": 0.4},
+    {"policy": "per_cell", "risk_cap": 0.4, "robot_value": 30.0, "range": (40, 20, 60)},
+    {"policy": "watchful", "risk_cap": 0.4},
     {"policy": "watchful", "types": ("a", "c", "b")},
     {"range": 30, "deadline": 45},
     {"return_to": "home", "range": 40, "deadline": 70},

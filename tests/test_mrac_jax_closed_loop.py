@@ -176,7 +176,7 @@ def test_robots_that_wear_go_on_with_what_they_have_borne() -> None:
     said = state.to_json()
     for number, robot in enumerate(said["robots"]):
         robot["exposure"] = 0.1 * number
-    state, settings = parse_state(said, world, "state.json"), Settings(wear=2.0, susceptibility=1.5)
+    state, settings = parse_state(said, world, "state.json"), Settings(weibull_shape=2.0, hazard_multiplier=1.5)
     loop = compile_closed_loop(make_plan(world, state.starts, settings, state=state), world)
     assert any(loop.bearing.begun)
     same(loop, 3, 200, "worn before", traced=(0, 1))
@@ -240,7 +240,7 @@ def test_missions_go_on_event_for_event(name: str) -> None:
 RETURNS: list[dict[str, Any]] = [asked for asked in KINDS if not asked.keys() & {"transit", "policy", "deadline"}]
 RETURNS += [
     {"return_to": "nearest", "range": (12, 20, 40), "recharge": 2},
-    {"return_to": "home", "range": (12, 30, 21), "wear": 2.0},
+    {"return_to": "home", "range": (12, 30, 21), "weibull_shape": 2.0},
 ]
 
 

@@ -167,7 +167,7 @@ def compare_a_copy() -> None:
 def held() -> tuple[SurveyWorld, Plan]:
     """The world in which robots are held, and its plan."""
     one = survey_world(HELD)
-    return one, make_plan(one.world, one.starts, replace(one.settings, policy="per_cell", reserve=0.5))
+    return one, make_plan(one.world, one.starts, replace(one.settings, policy="per_cell", risk_cap=0.5))
 
 
 def compare_held_robots() -> None:

@@ -99,8 +99,8 @@ def test_no_line_ends_between_a_number_and_its_unit_or_an_option_and_its_value()
     }
     for text, shown in tied.items():
         assert unbroken(text) == shown.replace("~", "\N{NO-BREAK SPACE}")
-    assert with_code("lose 0.6: `--policy per_cell --worth 4`") == (
-        'lose 0.6: <code><span class="whole">--policy per_cell</span> <span class="whole">--worth 4</span></code>'
+    assert with_code("lose 0.6: `--policy per_cell --robot-value 4`") == (
+        'lose 0.6: <code><span class="whole">--policy per_cell</span> <span class="whole">--robot-value 4</span></code>'
     )
     assert with_code("run it: x --seed 1 <") == 'run it: x <span class="whole">--seed 1</span> &lt;'
 

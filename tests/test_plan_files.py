@@ -30,6 +30,7 @@ from analysis.recording.container import open_log
 from analysis.recording.contents import read_rollouts
 from analysis.report.answer import with_minutes
 from analysis.sampling import RolloutChoices
+from analysis.sweeps.cases import Team, run_key
 from analysis.sweeps.results import outcomes_of, select
 from analysis.sweeps.spec import PLANNER
 from analysis.sweeps.store import Store
@@ -41,6 +42,7 @@ from planner.make_plan import confirm_plan, make_plan
 from planner.plan.plan import Area, Leg, Plan, RobotPlan, headings, waypoints_csv
 from planner.plan.plan_file import count_shares
 from planner.plan_team import plan_team, read_plan
+from planner.renamed import RenamedWarning
 from planner.settings import SETTINGS, Choices, Settings
 from planner.simulator.codes import Outcome
 from planner.world.changing_maps import with_phases
@@ -132,12 +134,12 @@ def test_a_plan_of_version_1_is_read_where_its_rules_are_todays(tmp_path: Path) 
     plain = World.create([[0, 0.5, 0, 0]])
     ends = with_phases(plain, [(4, np.zeros((1, 4)))])
     calm = with_phases(plain, [(1, np.zeros((1, 4)))])
-    for world, worth in ((plain, None), (plain, 4.0), (calm, 4.0)):
-        made = make_plan(world, [[0, 0]], Settings(policy="per_cell", worth=worth))
+    for world, robot_value in ((plain, None), (plain, 4.0), (calm, 4.0)):
+        made = make_plan(world, [[0, 0]], Settings(policy="per_cell", robot_value=robot_value))
         again = read_plan(written(tmp_path, made.to_json() | {"version": 1}), world)
         assert made.to_json()["version"] == 2
         plans_equal(again, made)
-    data = make_plan(ends, [[0, 0]], Settings(policy="per_cell", worth=4.0)).to_json()
+    data = make_plan(ends, [[0, 0]], Settings(policy="per_cell", robot_value=4.0)).to_json()
     path = {"robots": [{"path": [[0, 0]], "legs": []}], "nominal": {"outcome": "called_off", "time": 2, "shares": 0}}
     for version, more in ((1, "; release 0.4 changed the rules for phases"), (2, "")):
         with pytest.raises(PlanError, match="the path of robot 0") as error:
@@ -203,14 +205,14 @@ def test_another_planners_complete_plan_has_no_note(tmp_path: Path) -> None:
 
 def test_given_paths_and_a_scenario_that_says_more_of_its_robots(tmp_path: Path) -> None:
     WORLD.save(tmp_path / "w.npz")
-    (tmp_path / "s.yaml").write_text("map: w.npz\nrobots: {count: 1, range: 2, susceptibility: 3}\ndeadline: 4\n")
+    (tmp_path / "s.yaml").write_text("map: w.npz\nrobots: {count: 1, range: 2, hazard_multiplier: 3}\ndeadline: 4\n")
     world = load_input(tmp_path / "s.yaml")
     path = [[0, 0], [0, 1], [1, 1], [1, 2], [0, 2], [0, 3], [1, 3]]
     plan = load_plan(written(tmp_path, {"paths": [path]}), world)
-    assert plan.bearing.susceptibility == 3 and len(plan.robots[0].path) == 7
+    assert plan.bearing.hazard_multiplier == 3 and len(plan.robots[0].path) == 7
     unkept = f"whatever {world.source} says of range and deadline"
     assert plan.notes == (f"robots follow given paths to their end, {unkept}",)
-    own = plan_team(world, [[0, 0]], Settings(plan_for="open", range=2, effort=0))
+    own = plan_team(world, [[0, 0]], Settings(plan_for="open_loop", range=2, effort=0))
     own.save(tmp_path / "own.json")
     assert not any("whatever" in note for note in load_plan(tmp_path / "own.json", world).notes)
 
@@ -667,21 +669,23 @@ def test_the_yaw_points_from_cell_to_cell(tmp_path: Path) -> None:
 
 OTHER = {
     "levels": 3, "density": 2.5, "risk": "log", "transit": "area", "max_steps": 99,
-    "policy": "per_cell", "reserve": 0.5, "worth": 7.5,
-    "plan_for": "open", "effort": 7, "range": 9, "deadline": 30,
-    "wear": 2.5, "susceptibility": 0.5, "return_to": "nearest", "recharge": 4,
+    "policy": "per_cell", "risk_cap": 0.5, "robot_value": 7.5,
+    "plan_for": "open_loop", "effort": 7, "range": 9, "deadline": 30,
+    "weibull_shape": 2.5, "hazard_multiplier": 0.5, "return_to": "nearest", "recharge": 4,
     "in_area": "boustrophedon", "types": "rover", "steps_per_move": 2, "radio": 4.5,
     "priority": 5,
 }  # fmt: skip
 WRONG = {
     "levels": 1, "density": 1.0, "risk": "brave", "transit": "air", "max_steps": 0,
-    "policy": "bold", "reserve": 1.5, "worth": 0.0,
+    "policy": "bold", "risk_cap": 1.5, "robot_value": 0.0,
     "plan_for": "both", "effort": -1, "range": -1, "deadline": -1,
-    "wear": 0.1, "susceptibility": 65.0, "return_to": "base", "recharge": 0,
+    "weibull_shape": 0.1, "hazard_multiplier": 65.0, "return_to": "base", "recharge": 0,
     "in_area": "spiral", "types": "", "steps_per_move": 0, "radio": 0.0,
     "priority": 0,
 }  # fmt: skip
-NEEDS = {name: {"policy": "per_cell"} for name in ("reserve", "worth", "priority")} | {"effort": {"plan_for": "open"}}
+NEEDS = {name: {"policy": "per_cell"} for name in ("risk_cap", "robot_value", "priority")} | {
+    "effort": {"plan_for": "open_loop"}
+}
 NEEDS |= {"recharge": {"range": 9, "return_to": "home"}}
 """What else has to be chosen."""
 
@@ -727,10 +731,13 @@ def test_a_command_line_names_options_and_a_file_its_keys() -> None:
     try:
         assert told(range=-3) == "--range -3; expected a whole number, 1 to 4194302, or a list of one a robot"
         assert told(range=(0, 5)).startswith("--range 0,5; expected")
-        assert told(worth=5.0).startswith(
-            "--worth 5 with --policy mrac; expected --policy per_cell or frontier or watchful;"
+        assert told(robot_value=5.0).startswith(
+            "--robot-value 5 with --policy mrac; expected --policy per_cell or frontier or watchful;"
         )
-        assert told(effort=5) == "--effort 5 with --plan-for closed; expected --plan-for open; leave --effort out"
+        assert (
+            told(effort=5)
+            == "--effort 5 with --plan-for closed_loop; expected --plan-for open_loop; leave --effort out"
+        )
         assert told("plan.json", range=-3).startswith("plan.json: range is -3; expected") and told(
             "plan.json", range=-3
         ).endswith("1 to 4194302, or a list of one a robot, or null")
@@ -909,3 +916,47 @@ def test_what_nobody_says_is_asked_for(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="how many metres a cell has"):
         mrac.load(CELLS, speed=1)
     assert mrac.load(CELLS, speed=4, cell_size=2).pace == Pace(0.5)
+
+
+# Names of release 0.3: read for one release, each with one warning, and hashed as before.
+
+OLD = {"policy": "per_cell", "reserve": 0.5, "worth": 7.5}
+NEW = {"policy": "per_cell", "risk_cap": 0.5, "robot_value": 7.5}
+
+
+def test_names_of_0_3_are_read_with_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.save(tmp_path / "cells.npy", WORLD.threat)
+    new = make_plan(WORLD, [[0, 0]], Settings(**NEW))
+    file = tmp_path / "plan.json"
+    file.write_text(json.dumps(new.to_json() | {"settings": new.settings.to_json() | {"plan_for": "closed"}}))
+    text = file.read_text()
+    for name, old in {"risk_cap": "reserve", "robot_value": "worth"}.items():
+        text = text.replace(f'"{name}"', f'"{old}"')
+    file.write_text(text)
+    with pytest.warns(RenamedWarning, match="plan.json: `.*` is now `.*`; release 0.5") as said:
+        assert load_plan(file, WORLD).settings == new.settings
+    assert len(said) == 3
+    with pytest.warns(RenamedWarning):
+        assert mrac.plan(WORLD, 1, **OLD).settings == new.settings
+    scenario = tmp_path / "old.yaml"
+    scenario.write_text("map: cells.npy\nrobots: {count: 1, susceptibility: 2}\nwear: {shape: 3}\nplan_for: open\n")
+    with pytest.warns(RenamedWarning):
+        asked = load_input(scenario).team.settings
+    assert asked == {"weibull_shape": 3, "hazard_multiplier": 2, "plan_for": "open_loop"}
+    assert run(["plan", str(tmp_path / "cells.npy"), "--policy", "per_cell", "--worth=7.5", "--reserve", "0.5"]) == 0
+    assert "note: --worth is now --robot-value; release 0.5 no longer reads --worth\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("settings", "key"),
+    [
+        ({}, "5239310a3d1b307e"), (NEW, "40085361c4841d18"),
+        ({"plan_for": "open_loop", "effort": 9}, "b083ceac958a2ca2"),
+        ({"weibull_shape": 2.0, "hazard_multiplier": (1.0, 3.0)}, "42063f4ad679392e"),
+    ],
+)  # fmt: skip
+def test_identities_hash_the_names_of_0_3(settings: dict[str, Any], key: str) -> None:
+    """Keys of runs as the commit before the new names computed them: stores go on without a new rollout."""
+    world = World.create([[0, 0.1, 0], [0.2, 0, 0.3]])
+    team = Team(world, np.array([[0, 0], [0, 2]]), Settings(**settings))
+    assert run_key(team, RolloutChoices(seed=3)).startswith(key)

@@ -393,6 +393,6 @@ def test_other_missions_share_the_whole_program(settings: Settings) -> None:
     starts = place_starts(world, 4)[0]
     loops = [compile_closed_loop(make_plan(world, starts, of), world) for of in (settings, Settings())]
     assert list(map(features_of, loops)) == [PROGRAMS[-1], PROGRAMS[0]]
-    others = (Settings(steps_per_move=(1, 2, 1, 1)), Settings(wear=2.0))
+    others = (Settings(steps_per_move=(1, 2, 1, 1)), Settings(weibull_shape=2.0))
     more = [compile_closed_loop(make_plan(world, starts, of), world) for of in others]
     assert len({typeof(typed(with_features(loop.tables))) for loop in (loops[0], *more)}) == 1

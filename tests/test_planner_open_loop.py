@@ -38,7 +38,7 @@ from planner.world.world import World
 
 
 def planned(world: World, starts: object, effort: int = 2000, **settings: object) -> Plan:
-    return plan_team(world, starts, Settings(plan_for="open", effort=effort, **settings))  # type: ignore[arg-type]
+    return plan_team(world, starts, Settings(plan_for="open_loop", effort=effort, **settings))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -126,7 +126,7 @@ def test_two_robots_answer_each_other() -> None:
 def test_robots_that_bear_more_or_less_get_the_same_paths() -> None:
     """No decision knows of it; one number a robot was refused, of a robot by itself."""
     world, starts = tiny_world(3, 4, 4), [[0, 0], [0, 0]]
-    found = planned(world, starts, susceptibility=(1.0, 3.0))
+    found = planned(world, starts, hazard_multiplier=(1.0, 3.0))
     for robot, plain in zip(found.robots, planned(world, starts).robots, strict=True):
         assert np.array_equal(robot.path, plain.path)
 
@@ -136,8 +136,13 @@ def test_a_saved_plan_is_one_of_paths_that_knows_what_it_is_for(tmp_path: Path) 
     plan = planned(world, [[0, 0]])
     plan.save(tmp_path / "plan.json")
     found = load_plan(tmp_path / "plan.json", world)
-    assert (plan.plan_for, plan.outcome, plan.is_foreign, plan.time) == ("open", "end_of_paths", True, plan.makespan)
-    assert (found.plan_for, found.notes, found.time) == ("open", plan.notes, plan.time)
+    assert (plan.plan_for, plan.outcome, plan.is_foreign, plan.time) == (
+        "open_loop",
+        "end_of_paths",
+        True,
+        plan.makespan,
+    )
+    assert (found.plan_for, found.notes, found.time) == ("open_loop", plan.notes, plan.time)
     assert "Plan for the open loop: 1 robot on" in repr(found)
     data = json.loads((tmp_path / "plan.json").read_text())
     assert data["settings"] is None and data.pop("checksum")
@@ -145,19 +150,19 @@ def test_a_saved_plan_is_one_of_paths_that_knows_what_it_is_for(tmp_path: Path) 
     with pytest.raises(PlanError, match="`plan_for` is 'war'"):
         load_plan(tmp_path / "wrong.json", world)
     answer = mrac.evaluate(world, found, rollouts=64).to_json()
-    assert (answer["plan_for"], answer["loop"]) == ("open", "open")
-    assert mrac.plan(world, plan_for="open", effort=5).plan_for == "open"
+    assert (answer["plan_for"], answer["loop"]) == ("open_loop", "open")
+    assert mrac.plan(world, plan_for="open_loop", effort=5).plan_for == "open_loop"
 
 
 def test_what_does_not_go_together_is_refused() -> None:
     world = tiny_world(3, 3, 4)
-    with pytest.raises(PlanError, match="plan_for is open in a plan with areas"):
-        make_plan(world, [[0, 0]], Settings(plan_for="open"))
+    with pytest.raises(PlanError, match="plan_for is open_loop in a plan with areas"):
+        make_plan(world, [[0, 0]], Settings(plan_for="open_loop"))
     with pytest.raises(UsageError, match="seconds=1 is for plans for the open loop"):
         mrac.plan(world, seconds=1)
     for wrong in (0, float("nan"), "1"):
         with pytest.raises(UsageError, match="seconds"):
-            mrac.plan(world, plan_for="open", seconds=wrong)  # type: ignore[arg-type]
+            mrac.plan(world, plan_for="open_loop", seconds=wrong)  # type: ignore[arg-type]
     big = World.create(np.full((80, 80), 0.1))
     with pytest.raises(PlanError, match=r"6400 dangerous cells .* too many"):
         planned(big, [[0, 0]])
@@ -165,7 +170,7 @@ def test_what_does_not_go_together_is_refused() -> None:
 
 def test_seconds_end_the_search_and_that_is_said() -> None:
     world = random_world(pattern=ThreatPattern(seed=1))
-    settings = Settings(plan_for="open", effort=10**9)
+    settings = Settings(plan_for="open_loop", effort=10**9)
     plan = make_open_loop_plan(world, place_starts(world, 2)[0], settings, seconds=0.05)
     assert plan.notes[1] == "the search ended before its 1,000,000,000 evaluations: it ran out of seconds"
 
@@ -173,9 +178,9 @@ def test_seconds_end_the_search_and_that_is_said() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["evaluate", "--effort", "9"], "--effort 9 with --plan-for closed"),
+        (["evaluate", "--effort", "9"], "--effort 9 with --plan-for closed_loop"),
         (["plan", "--seconds", "9"], "--seconds 9 is for plans for the open loop"),
-        (["plan", "--plan-for", "both"], "--plan-for 'both'; expected closed or open"),
+        (["plan", "--plan-for", "both"], "--plan-for 'both'; expected closed_loop or open_loop"),
     ],
 )
 def test_bad_input_is_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -184,10 +189,10 @@ def test_bad_input_is_one_line(words: list[str], said: str, capsys: pytest.Captu
 
 def test_every_command_that_plans_takes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tiny_world(3, 3, 4).save(tmp_path / "map.npz")
-    options = [str(tmp_path / "map.npz"), "--plan-for", "open", "--effort", "10"]
+    options = [str(tmp_path / "map.npz"), "--plan-for", "open_loop", "--effort", "10"]
     for command in (["evaluate", "--rollouts", "64"], ["check"], ["compare", "--rollouts", "64", "--b.effort", "20"]):
         assert run([command[0], *options, *command[1:], "--json"]) == 0
-        assert '"plan_for": "open"' in capsys.readouterr().out
+        assert '"plan_for": "open_loop"' in capsys.readouterr().out
     assert run(["size", *options, "--target", "0.5", "--rollouts", "64", "--most", "2", "--json"]) == 0
     assert run(["record", options[0], *options[1:], "--ids", "0", str(tmp_path / "run.mcap")]) in (0, 2)
 
@@ -196,17 +201,20 @@ def test_scenarios_name_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     """As the option does, which goes before; who needs robots that take over says so."""
     tiny_world(3, 3, 4).save(tmp_path / "map.npz")
     scenario = tmp_path / "map.yaml"
-    scenario.write_text("map: {file: map.npz}\nplan_for: open\n")
-    asked = ([str(scenario)], [str(tmp_path / "map.npz"), "--plan-for", "open"])
+    scenario.write_text("map: {file: map.npz}\nplan_for: open_loop\n")
+    asked = ([str(scenario)], [str(tmp_path / "map.npz"), "--plan-for", "open_loop"])
     told = [answer_of(capsys, "evaluate", *words, "--rollouts", "64", "--effort", "10") for words in asked]
-    assert told[0]["plan_for"] == told[0]["loop"] == "open" and told[0]["best"] == told[1]["best"]
-    assert answer_of(capsys, "evaluate", str(scenario), "--plan-for", "closed", "--rollouts", "64")["loop"] == "closed"
+    assert (told[0]["plan_for"], told[0]["loop"]) == ("open_loop", "open") and told[0]["best"] == told[1]["best"]
+    assert (
+        answer_of(capsys, "evaluate", str(scenario), "--plan-for", "closed_loop", "--rollouts", "64")["loop"]
+        == "closed"
+    )
     assert run(["size", str(scenario), "--target", "0.5", "--rollouts", "64", "--most", "2", "--json"]) == 0
     capsys.readouterr()
     for command in (["starts", "--rollouts", "64"], ["studio"]):
-        assert "plan_for is open in " in error_of(capsys, command[0], str(scenario), *command[1:])
+        assert "plan_for is open_loop in " in error_of(capsys, command[0], str(scenario), *command[1:])
     scenario.write_text("map: {file: map.npz}\nplan_for: both\n")
-    assert "`plan_for` is 'both'; expected closed or open" in error_of(capsys, "evaluate", str(scenario))
+    assert "`plan_for` is 'both'; expected closed_loop or open_loop" in error_of(capsys, "evaluate", str(scenario))
 
 
 # The closed loop of another planner's paths: who follows them, and what becomes of the cells of a stopped robot.

@@ -63,9 +63,9 @@ FEW = 1
 LIMITED: list[dict[str, Any]] = [
     {"policy": "per_cell", **limits}
     for limits in (
-        {}, {"reserve": 0.25}, {"reserve": 1.0}, {"worth": 4.0}, {"worth": 40.0}, {"reserve": 0.5, "worth": 9.0},
-        {"policy": "watchful"}, {"policy": "watchful", "reserve": 0.1},
-        {"policy": "watchful", "reserve": 0.5, "worth": 9.0},
+        {}, {"risk_cap": 0.25}, {"risk_cap": 1.0}, {"robot_value": 4.0}, {"robot_value": 40.0},
+        {"risk_cap": 0.5, "robot_value": 9.0}, {"policy": "watchful"}, {"policy": "watchful", "risk_cap": 0.1},
+        {"policy": "watchful", "risk_cap": 0.5, "robot_value": 9.0},
     )
 ]  # fmt: skip
 
@@ -157,7 +157,7 @@ def test_costs_beyond_32_bits_are_another_program() -> None:
 def test_compiled_counts_deadlines_and_other_truths() -> None:
     """Every count is that of the rollouts one by one; cut off, and under other threats, decisions stay as they are."""
     fixture = load_fixture("contiguous-14x23-1001-k2")
-    plan = make_plan(fixture.world, fixture.starts, Settings(policy="per_cell", reserve=0.5), fixture.allocation)
+    plan = make_plan(fixture.world, fixture.starts, Settings(policy="per_cell", risk_cap=0.5), fixture.allocation)
     loop = compile_closed_loop(plan, fixture.world)
     tally, singles = run_range(loop, 3, 0, 400, singles=True)
     assert singles is not None
@@ -190,8 +190,8 @@ def test_areas_are_ranked_by_the_least_price_per_cell(kept: int, valued: bool, m
     plan = make_plan(world, fixture.starts, Settings(policy="per_cell"))
     loop, problem = compile_closed_loop(plan, world), prepare(world, fixture.starts, plan.settings)
     given, sizes = range(len(loop.tables.level)), np.diff(loop.tables.begin).tolist()
-    worth = np.ones(world.threat.size, dtype=int) if problem.value is None else problem.value
-    best = [int(worth[area.cells].max()) for area in plan.areas]
+    robot_value = np.ones(world.threat.size, dtype=int) if problem.value is None else problem.value
+    best = [int(robot_value[area.cells].max()) for area in plan.areas]
     assert not valued or (0 in best and len(set(best)) > 2)
     entries = problem.entry[loop.tables.level].tolist()
     for row, costs in zip(loop.tables.foremost.tolist(), loop.tables.area_cost.tolist(), strict=True):
@@ -363,11 +363,11 @@ def test_the_nearest_area_is_the_first_by_the_rule(monkeypatch: pytest.MonkeyPat
 def test_no_run_ends_at_the_limit(given_world: tuple[World, np.ndarray], limits: Any, rollout: int, way: Any) -> None:
     world, starts = given_world
     plan = make_plan(world, starts, Settings(transit=way, **limits))
-    assert plan.outcome == "complete" or (plan.outcome == "not_worth_the_risk" and "worth" in limits)
+    assert plan.outcome == "complete" or (plan.outcome == "not_worth_the_risk" and "robot_value" in limits)
     assert validate(plan, world) == []
     run = PythonLoop(plan, world).run(5, rollout)
     assert run.outcome is not Outcome.STEP_LIMIT
-    assert run.outcome is not Outcome.NOT_WORTH_THE_RISK or "worth" in limits
+    assert run.outcome is not Outcome.NOT_WORTH_THE_RISK or "robot_value" in limits
 
 
 @pytest.mark.slow
@@ -384,7 +384,7 @@ def test_no_compiled_run_of_100_000_ends_at_the_limit(capsys: pytest.CaptureFixt
         asked = Settings(**LIMITED[kind]) if kind < len(LIMITED) else Settings()
         plan = make_plan(world, free[luck.integers(len(free), size=luck.integers(1, 6))], asked)
         tally = run_range(compile_closed_loop(plan, world, tabled=number % 3 > 0), number, 0, 250)[0]
-        assert asked.worth is not None or tally.outcomes[Outcome.NOT_WORTH_THE_RISK] == 0
+        assert asked.robot_value is not None or tally.outcomes[Outcome.NOT_WORTH_THE_RISK] == 0
         outcomes += tally.outcomes
     with capsys.disabled():
         ended = {one.name: int(outcomes[one]) for one in Outcome if outcomes[one]}
@@ -394,7 +394,7 @@ def test_no_compiled_run_of_100_000_ends_at_the_limit(capsys: pytest.CaptureFixt
 
 def test_events_say_who_looked_again_and_what_was_refused() -> None:
     counts = np.zeros(len(EventKind), dtype=np.int64)
-    for name, limits in (("contiguous-20x20-1000-k2", {}), ("scattered-14x23-1000-k2", {"worth": 40.0})):
+    for name, limits in (("contiguous-20x20-1000-k2", {}), ("scattered-14x23-1000-k2", {"robot_value": 40.0})):
         fixture = load_fixture(name)
         plan = make_plan(fixture.world, fixture.starts, Settings(policy="per_cell", **limits), fixture.allocation)
         for rollout in range(4):
@@ -415,12 +415,12 @@ LINE = [[0.0, 0.0, 0.1, 0.1, 0.3]]
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        ({"reserve": 0.25}, "reserve is 0.25 with policy mrac; expected policy per_cell"),
-        ({"worth": 40.0}, "worth is 40 with policy mrac; expected policy per_cell"),
-        ({"policy": "per_cell", "reserve": 0.0}, "reserve is 0; expected a number above 0, at most 1"),
-        ({"policy": "per_cell", "reserve": float("nan")}, "reserve is nan"),
-        ({"policy": "per_cell", "worth": float("inf")}, "worth is inf; expected a number above 0"),
-        ({"policy": "per_cell", "worth": float("nan")}, "worth is nan"),
+        ({"risk_cap": 0.25}, "risk_cap is 0.25 with policy mrac; expected policy per_cell"),
+        ({"robot_value": 40.0}, "robot_value is 40 with policy mrac; expected policy per_cell"),
+        ({"policy": "per_cell", "risk_cap": 0.0}, "risk_cap is 0; expected a number above 0, at most 1"),
+        ({"policy": "per_cell", "risk_cap": float("nan")}, "risk_cap is nan"),
+        ({"policy": "per_cell", "robot_value": float("inf")}, "robot_value is inf; expected a number above 0"),
+        ({"policy": "per_cell", "robot_value": float("nan")}, "robot_value is nan"),
         ({"policy": "percell"}, "did you mean 'per_cell'"),
         ({"policy": 3}, "policy"),
         ({"in_area": "spiral"}, "in_area='spiral'; expected 'nearest' or"),
@@ -435,13 +435,13 @@ def test_plan_files_know_policies_and_old_ones_are_mrac(tmp_path: Path) -> None:
     world = World.create(LINE)
     old = make_plan(world, [[0, 0]])
     assert set(old.to_json()["settings"]) == {"levels", "density", "risk", "transit", "max_steps"}
-    plan = make_plan(world, [[0, 0]], Settings(policy="per_cell", worth=4))
+    plan = make_plan(world, [[0, 0]], Settings(policy="per_cell", robot_value=4))
     plan.save(tmp_path / "plan.json")
     read = load_plan(tmp_path / "plan.json", world)
-    assert (read.settings, read.outcome) == (Settings(policy="per_cell", worth=4.0), "not_worth_the_risk")
+    assert (read.settings, read.outcome) == (Settings(policy="per_cell", robot_value=4.0), "not_worth_the_risk")
     said = plan.to_json()
-    said["settings"] = {"worth": 4}
-    with pytest.raises(PlanError, match="worth is 4 with policy mrac"):
+    said["settings"] = {"robot_value": 4}
+    with pytest.raises(PlanError, match="robot_value is 4 with policy mrac"):
         parse_plan(said, world, "p.json")
     with pytest.raises(PlanError, match="`policy` is 'per_cell'; expected paths alone"):
         parse_plan({"paths": [[[0, 0]]], "policy": "per_cell"}, world, "p.json")
@@ -450,10 +450,10 @@ def test_plan_files_know_policies_and_old_ones_are_mrac(tmp_path: Path) -> None:
 def test_scenarios_name_a_policy(tmp_path: Path) -> None:
     np.save(tmp_path / "m.npy", np.array(LINE, dtype=np.float32))
     scenario = tmp_path / "s.yaml"
-    scenario.write_text("map: m.npy\npolicy: per_cell\nreserve: 0.5\nworth: 40\n")
-    assert mrac.plan(mrac.load(scenario)).settings == Settings(policy="per_cell", reserve=0.5, worth=40.0)
+    scenario.write_text("map: m.npy\npolicy: per_cell\nrisk_cap: 0.5\nrobot_value: 40\n")
+    assert mrac.plan(mrac.load(scenario)).settings == Settings(policy="per_cell", risk_cap=0.5, robot_value=40.0)
     assert mrac.plan(mrac.load(scenario), policy="mrac").settings == Settings()
-    for line, words in (("policy: bold", "policy"), ("reserve: 2", "reserve"), ("worth: .nan", "worth")):
+    for line, words in (("policy: bold", "policy"), ("risk_cap: 2", "risk_cap"), ("robot_value: .nan", "robot_value")):
         scenario.write_text(f"map: m.npy\n{line}\n")
         with pytest.raises(InputError, match=words):
             load_input(scenario)
@@ -581,7 +581,7 @@ def ordered(seed: int, policy: str) -> tuple[World, Plan, Plan]:
     """A world, its plan by numbers for cells, and the plan for the world in which cells are worth these."""
     world = random_world(9, 8, ThreatPattern("scattered" if seed % 2 else "contiguous", 4, seed=seed), threats=0.35)
     first = 1 + np.arange(world.threat.size) * (7 + seed) % 11
-    starts, by = place_starts(world, 3)[0], Settings(policy=policy, reserve=0.5)
+    starts, by = place_starts(world, 3)[0], Settings(policy=policy, risk_cap=0.5)
     plan = make_plan(world, starts, replace(by, priority=tuple(first.tolist())))
     return world, plan, make_plan(valued(world, plan), starts, by)
 
@@ -613,8 +613,8 @@ def test_what_does_not_go_with_it_is_refused(tmp_path: Path) -> None:
     settings = plan.settings
     assert settings is not None
     for wrong, said in (
-        (replace(settings, reserve=None, policy="mrac"), "priority found by a search with --policy mrac|policy mrac"),
-        (replace(settings, worth=5.0), "priority with"),
+        (replace(settings, risk_cap=None, policy="mrac"), "priority found by a search with --policy mrac|policy mrac"),
+        (replace(settings, robot_value=5.0), "priority with"),
         (replace(settings, priority=(1, 2)), "priority of 2 cells; expected one number, or one for each of 72 cells"),
     ):
         with pytest.raises(PlanError, match=said):

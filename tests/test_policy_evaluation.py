@@ -371,7 +371,7 @@ def test_columns_are_those_of_the_maps_rolled_out_by_hand(tmp_path: Path) -> Non
         world = random_world(pattern=ThreatPattern("contiguous", seed=seed))
         for setting in FEW:
             starts = place_starts(world, setting.robots)[0]
-            settings = Settings(policy=setting.policy, reserve=setting.reserve, max_steps=setting.cut)
+            settings = Settings(policy=setting.policy, risk_cap=setting.risk_cap, max_steps=setting.cut)
             few, exact = setting.robots == 4, setting.robots == 2
             tally = run_range(
                 compile_closed_loop(make_plan(world, starts, settings), world), seed, 0, 30 if few else 2**15
@@ -397,7 +397,7 @@ def made_up(maps: int = 4) -> Study:
         visited = np.linspace(0.5, 0.6, maps) + 0.05 * (setting.policy != "mrac")
         if setting == Setting("scattered", 8, "per_cell"):
             visited[maps // 4] -= 0.08
-        losses = np.full(maps, setting.robots * (0.5 if setting.worth else 1.0))
+        losses = np.full(maps, setting.robots * (0.5 if setting.robot_value else 1.0))
         columns[setting] = {
             "visited": visited, "losses": losses, "time": np.full(maps, 200.0), "complete": np.zeros(maps),
             "se": np.full(maps, 0.005), "exact": np.full(maps, setting.robots <= 2),
@@ -438,7 +438,7 @@ def test_its_faces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert names == {"index.html", "policies.txt", "policies.json", "points.csv", *pictures}
     rows = list(csv.DictReader((tmp_path / "out" / "points.csv").read_text().splitlines()))
     assert len(rows) == 4 * len(found["points"])
-    assert {row["worth"] for row in rows} >= {"", "160.0"}
+    assert {row["robot_value"] for row in rows} >= {"", "160.0"}
     page = (tmp_path / "out" / "index.html").read_text()
     assert "What policies bring" in page
     alone = made_up(maps=1)

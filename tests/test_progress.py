@@ -376,7 +376,7 @@ def test_a_notebook_has_a_line_that_goes_away(monkeypatch: pytest.MonkeyPatch) -
     assert not seen
 
 
-OF_THE_WORLD = {"cell_size", "step_seconds", "speed", "turn", "sense", "map"}
+OF_THE_WORLD = {"cell_size", "step_seconds", "speed", "turn", "sensor_range", "map"}
 """Options that in Python are arguments of `load`, or of what makes another world."""
 OF_THE_ANSWER = {"out", "json", "theory", "csv", "plot", "picture", "animation", "plan_out", "scenario_out", "outlook"}
 """Options that in Python are methods of the answer, or functions of it."""
@@ -430,9 +430,10 @@ def test_functions_take_every_option_of_their_commands() -> None:
 def test_searches_pass_every_option_on(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is given arrives: settings in Settings, rollouts in RolloutChoices; an unknown name is refused."""
     world = small_world()
-    settings = {"levels": 3, "density": 5.0, "risk": "log", "max_steps": 900, "range": 700, "wear": 2.0, "recharge": 4,
-                "susceptibility": 0.5, "return_to": [[0, 0]], "radio": 30.0, "in_area": "rows"}  # fmt: skip
-    policy = {"policy": "per_cell", "reserve": 0.5, "worth": 40.0}
+    settings = {"levels": 3, "density": 5.0, "risk": "log", "max_steps": 900, "range": 700, "weibull_shape": 2.0,
+                "recharge": 4, "hazard_multiplier": 0.5, "return_to": [[0, 0]], "radio": 30.0,
+                "in_area": "rows"}  # fmt: skip
+    policy = {"policy": "per_cell", "risk_cap": 0.5, "robot_value": 40.0}
     rolled = {
         "rollouts": 77,
         "seed": 5,

@@ -245,11 +245,11 @@ def test_a_map_of_probabilities_is_what_its_file_says(tmp_path: Path, number: fl
     assert (load_input(scenario(tmp_path, **keys)).threat == np.float32(p)).all()
     world = load_input(scenario(tmp_path, map="map.tif", detect=[{"raster": "p.tif"}]))
     assert world.detect == pytest.approx(np.full((4, 6), p))
-    world = load_input(scenario(tmp_path, map="map.tif", hazard={"kind": "persistent", "q": 0.5, "h": "p.tif"}))
+    world = load_input(scenario(tmp_path, map="map.tif", latent_hazard={"kind": "persistent", "q": 0.5, "h": "p.tif"}))
     assert world.threat == pytest.approx(np.full((4, 6), p / 2))
     is_scaled = bool({"scale", "offset"} & said.keys())
-    assert is_scaled == any("* number" in note and note.startswith("hazard.h") for note in world.notes)
-    world = load_input(scenario(tmp_path, map="map.tif", uncertain={"maps": ["p.tif", "map.tif"]}))
+    assert is_scaled == any("* number" in note and note.startswith("latent_hazard.h") for note in world.notes)
+    world = load_input(scenario(tmp_path, map="map.tif", map_uncertainty={"maps": ["p.tif", "map.tif"]}))
     assert world.threat == pytest.approx(np.full((4, 6), p / 2))
 
 

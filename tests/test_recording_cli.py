@@ -43,9 +43,12 @@ TYPED = "threats: [{raster: p.npy, type: x}]\nrobots: {count: 2, matrix: {a: {x:
     ("keys", "said"),
     [
         ("robots: {count: 2}", {"threat 10 %"}),
-        ("robots: {count: 2, susceptibility: [1, 2]}", {"threat 10 %", "threat 19 %"}),
+        ("robots: {count: 2, hazard_multiplier: [1, 2]}", {"threat 10 %", "threat 19 %"}),
         (TYPED, {"threat 1 %", "threat 20 %"}),
-        ("movers: [{walk: 0.5, h: 0.3, count: 4}]\nrobots: {count: 2}", {"threat 10 %, or a mover", "by a mover"}),
+        (
+            "moving_threats: [{walk: 0.5, h: 0.3, count: 4}]\nrobots: {count: 2}",
+            {"threat 10 %, or a mover", "by a mover"},
+        ),
     ],
 )
 def test_what_is_said_to_stop_a_robot_is_what_does(

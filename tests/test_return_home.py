@@ -49,7 +49,7 @@ KINDS: list[dict[str, Any]] = [
     {"return_to": "nearest", "range": 40},
     {"return_to": "home", "deadline": 35},
     {"return_to": "home", "range": (25, 50, 70), "deadline": 55, "policy": "per_cell"},
-    {"return_to": "nearest", "policy": "per_cell", "reserve": 0.4, "deadline": 60},
+    {"return_to": "nearest", "policy": "per_cell", "risk_cap": 0.4, "deadline": 60},
     {"return_to": "home", "policy": "per_cell", "range": 45},
     {"return_to": "nearest", "transit": "area", "range": 50},
     {"return_to": "home", "range": 30, "recharge": 4},
@@ -59,7 +59,7 @@ KINDS: list[dict[str, Any]] = [
         "recharge": 7,
         "deadline": 140,
         "policy": "per_cell",
-        "worth": 20.0,
+        "robot_value": 20.0,
     },
 ]
 
@@ -134,9 +134,9 @@ def check_way_home(trace: Trace, robot: int, turned: int, way: dict[int, tuple[i
 
 
 WATCHFUL: list[dict[str, Any]] = [
-    {"return_to": "nearest", "policy": "watchful", "reserve": 0.4, "range": 45, "worth": 20.0},
-    {"return_to": "home", "policy": "watchful", "reserve": 0.4, "range": 40, "recharge": 3},
-    {"return_to": "nearest", "policy": "watchful", "reserve": 0.4, "range": 50, "steps_per_move": (1, 2, 1)},
+    {"return_to": "nearest", "policy": "watchful", "risk_cap": 0.4, "range": 45, "robot_value": 20.0},
+    {"return_to": "home", "policy": "watchful", "risk_cap": 0.4, "range": 40, "recharge": 3},
+    {"return_to": "nearest", "policy": "watchful", "risk_cap": 0.4, "range": 50, "steps_per_move": (1, 2, 1)},
 ]
 
 
@@ -165,7 +165,7 @@ def test_who_is_alive_is_home(number: int) -> None:
         assert singles is not None
         np.testing.assert_array_equal(singles.home, singles.alive)
         np.testing.assert_array_equal(tally.home, np.bincount(singles.home, minlength=len(starts) + 1))
-        if "range" not in asked and "deadline" not in asked and "reserve" not in asked:  # Theorem 2
+        if "range" not in asked and "deadline" not in asked and "risk_cap" not in asked:  # Theorem 2
             assert set(np.unique(singles.outcome)) <= {Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST}
 
 
@@ -287,7 +287,7 @@ def test_what_cannot_come_home_is_refused(more: dict[str, Any], said: str | None
 def test_what_does_not_know_the_way_home_says_so() -> None:
     world, starts = drawn(1)
     with pytest.raises(InputError, match="return_to"):
-        plan_team(world, starts, Settings(return_to="home", plan_for="open"))
+        plan_team(world, starts, Settings(return_to="home", plan_for="open_loop"))
 
 
 def test_a_run_goes_on_from_its_state_as_if_it_had_not_stopped() -> None:
@@ -357,9 +357,9 @@ def test_worth_counts_the_way_home() -> None:
     """
     world, visited = World.create([[0.0, 0.0, 0.2, *[0.0] * 7]]), {}
     for to in (None, "home"):
-        for worth in (5.0, 15.0, 20.0):
-            plan = make_plan(world, [[0, 0]], Settings(policy="per_cell", worth=worth, return_to=to))
-            visited[to, worth] = len(np.unique(plan.robots[0].path))
+        for robot_value in (5.0, 15.0, 20.0):
+            plan = make_plan(world, [[0, 0]], Settings(policy="per_cell", robot_value=robot_value, return_to=to))
+            visited[to, robot_value] = len(np.unique(plan.robots[0].path))
     assert visited == {(None, 5.0): 10, (None, 15.0): 10, (None, 20.0): 2} | {
         ("home", 5.0): 10, ("home", 15.0): 2, ("home", 20.0): 2,
     }  # fmt: skip
@@ -368,7 +368,7 @@ def test_worth_counts_the_way_home() -> None:
 def test_the_settings_of_a_front_are_missions_that_end_at_home() -> None:
     world, starts = drawn(7)
     settings, choices = Settings(return_to="nearest"), RolloutChoices(rollouts=256, exact="never")
-    ladders = Ladders(reserves=(), worths=(), landmarks=(0.5,))
+    ladders = Ladders(risk_caps=(), robot_values=(), landmarks=(0.5,))
     front = find_front(world, starts, settings, choices, ladders=ladders)
     ended = [point for point in front.points if point.setting.deadline is not None]
     assert len(ended) == 2 and any("home" in note for note in front.notes)
@@ -504,8 +504,8 @@ def test_so_it_is_on_many_more_maps(part: int) -> None:
 LIMITS: tuple[dict[str, Any], ...] = (
     {},
     {"policy": "per_cell"},
-    {"policy": "per_cell", "reserve": 0.3},
-    {"policy": "per_cell", "worth": 12.0, "reserve": 0.5},
+    {"policy": "per_cell", "risk_cap": 0.3},
+    {"policy": "per_cell", "robot_value": 12.0, "risk_cap": 0.5},
 )
 
 
@@ -533,7 +533,7 @@ def test_a_corridor_by_hand_range() -> None:
     assert open_loop_exact(alone, world).visited == 6
 
 
-@pytest.mark.parametrize("more", LIMITS, ids=["mrac", "per_cell", "reserve", "worth"])
+@pytest.mark.parametrize("more", LIMITS, ids=["mrac", "per_cell", "risk_cap", "robot_value"])
 def test_robots_stay_where_their_moves_end(more: dict[str, Any]) -> None:
     ended = 0
     for seed in range(6):
@@ -594,7 +594,7 @@ def test_the_validator_counts_moves() -> None:
 def test_paths_for_the_open_loop_end_with_the_range() -> None:
     world, _ = small(1, 2)
     starts = place_starts(world, 2)[0]
-    plan = plan_team(world, starts, Settings(plan_for="open", effort=200, range=(7, 15)))
+    plan = plan_team(world, starts, Settings(plan_for="open_loop", effort=200, range=(7, 15)))
     assert all(moves(robot.path) <= most for robot, most in zip(plan.robots, (7, 15), strict=True))
 
 

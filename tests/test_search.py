@@ -93,12 +93,12 @@ def test_where_cells_are_worth_something_it_goes_by_value(depot: bool) -> None:
     )
     given = [[0, 0], [5, 0], [3, 7], [2, 6]]
     answer = find_starts(valued, 2, Settings(), choices, depot=depot, candidates=given)
-    worth = np.where(valued.free, value, 0.0).ravel() / value[valued.free].sum()
+    robot_value = np.where(valued.free, value, 0.0).ravel() / value[valued.free].sum()
     for place in answer.places:
         loop = PythonLoop(make_plan(WORLD, place.starts, Settings()), WORLD)
         runs = np.array([loop.run(3, rollout).visited for rollout in range(place.rollouts)])
         assert place.value is not None and place.coverage is not None
-        assert place.value.mean == pytest.approx((runs @ worth).mean(), abs=1e-9)
+        assert place.value.mean == pytest.approx((runs @ robot_value).mean(), abs=1e-9)
         assert place.coverage.mean * answer.cells == pytest.approx(runs.sum(axis=1).mean())
         assert place.value.mean * value[valued.free].sum() <= place.screen * (1 + 5 * place.value.se)
     tried = [place for place in answer.places if place.rollouts == RUNS]
@@ -228,14 +228,16 @@ def test_scenario_and_command_reproduce_the_best(
     assert all(set(one) == keys for one in found["candidates"]) and found["confirmed"]["first_rollout"] == 64
 
 
-@pytest.mark.parametrize("option", [[], ["--wear", "2", "--susceptibility", "3"], ["--policy", "mrac"]])
+@pytest.mark.parametrize("option", [[], ["--weibull-shape", "2", "--hazard-multiplier", "3"], ["--policy", "mrac"]])
 def test_the_scenario_asks_for_what_was_searched(
     capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path, option: list[str]
 ) -> None:
     """Range, home and a shape of wear too, of the input or of an option; another policy leaves its limits behind."""
     source, wanted = tmp_path / "s.yaml", tmp_path / "best.yaml"
-    team = "{count: 2, range: 20, return_to: home, susceptibility: 2}"
-    source.write_text(f"map: world.npz\nrobots: {team}\npolicy: per_cell\nworth: 9\nturn: 2\nwear: {{shape: 1.5}}\n")
+    team = "{count: 2, range: 20, return_to: home, hazard_multiplier: 2}"
+    source.write_text(
+        f"map: world.npz\nrobots: {team}\npolicy: per_cell\nrobot_value: 9\nturn: 2\nweibull_shape: 1.5\n"
+    )
     found = answer_of(capsys, "starts", str(source), *option, "--rollouts", "32", "--scenario-out", str(wanted))
     again = answer_of(capsys, "evaluate", str(wanted), "--rollouts", "32", "--seed", "1")
     place = ",".join(map(str, found["starts"][0])) + ";" + ",".join(map(str, found["starts"][1]))
@@ -306,10 +308,10 @@ def test_starts_that_reach_little_of_the_map_are_told(tmp_path: Path) -> None:
     [
         (["--robots", "0"], "--robots 0; expected a whole number, 1 to 1024"),
         (["--candidates", "nowhere.csv"], "nowhere.csv"),
-        (["--plan-for", "open"], "Unknown option: --plan-for"),
+        (["--plan-for", "open_loop"], "Unknown option: --plan-for"),
         (["--scenario-out", "best.json"], "does not end in .yaml"),
         (["--rollouts", "4294967296"], "expected at most 2147483648"),
-        (["--worth", "5"], "worth"),
+        (["--robot-value", "5"], "--robot-value 5 with --policy mrac"),
     ],
 )
 def test_bad_options_are_told(capsys: pytest.CaptureFixture[str], world_file: str, words: list[str], said: str) -> None:
@@ -322,7 +324,7 @@ def test_in_python_wrong_arguments_are_told() -> None:
     with pytest.raises(InputError, match="no cell on the border of the map is safe"):
         mrac.starts(World.create([[0.1, 0.2]]))
     with pytest.raises(PlanError, match="plan_for is open"):
-        find_starts(WORLD, 1, Settings(plan_for="open"), RolloutChoices())
+        find_starts(WORLD, 1, Settings(plan_for="open_loop"), RolloutChoices())
 
 
 def test_an_interruption_leaves_the_best_so_far() -> None:
@@ -361,11 +363,11 @@ def small() -> Clearing:
 @cache
 def rolled_out(planned: World, true: World, ids: range) -> np.ndarray:
     """Cells visited, robots lost, value visited on average, planned on one map and hit on the other."""
-    worth = np.ones(true.threat.size) if true.value is None else true.value.ravel()
+    robot_value = np.ones(true.threat.size) if true.value is None else true.value.ravel()
     plan = make_plan(planned, WORLD_CLEAR.starts, Settings())
     loop = compile_closed_loop(plan, planned, interpreted=True)
     runs = [play(SingleRun(loop, hit=Luck(true, 3, rollout).hits)) for rollout in ids]
-    return np.mean([[one.visited.sum(), (~one.alive).sum(), one.visited @ worth] for one in runs], axis=0)
+    return np.mean([[one.visited.sum(), (~one.alive).sum(), one.visited @ robot_value] for one in runs], axis=0)
 
 
 def test_threats_are_connected_areas_of_one_level() -> None:
@@ -525,7 +527,7 @@ def test_the_command_says_gains_as_json(capsys: pytest.CaptureFixture[str], clea
         (["--remove", "sources"], "lies where a robot can get; use --remove areas"),
         (["--starts", "0,8"], "[0, 8], an obstacle"),
         (["--robots", "3"], "--robots 3 contradicts the 2 starts"),
-        (["--plan-for", "open"], "Unknown option: --plan-for"),
+        (["--plan-for", "open_loop"], "Unknown option: --plan-for"),
         (["--rollouts", "4294967296"], "expected at most 2147483648"),
     ],
 )
@@ -740,7 +742,7 @@ def test_the_command_says_it_as_json_and_writes_both_maps(
         (["--p", "0"], "--p 0; expected a chance, 1e-6 or more and below 1"),
         (["--p", "1"], "--p 1; expected a chance, 1e-6 or more and below 1"),
         (["--p", "1e-60"], "--p 1e-60; expected a chance, 1e-6 or more and below 1"),
-        (["--plan-for", "open"], "Unknown option: --plan-for"),
+        (["--plan-for", "open_loop"], "Unknown option: --plan-for"),
     ],
 )
 def test_bad_options_are_told_attack(

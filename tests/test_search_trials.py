@@ -211,12 +211,12 @@ def test_value_is_known_too() -> None:
     value = np.where(np.arange(14) >= 7, 7.5, 1.0) * np.ones((14, 1))
     valued = WORLD.with_values(value)
     plan = make_plan(valued, place_starts(valued, 2)[0], Settings())
-    trial, worth = Trial(valued, plan, AUTO), Worth.of(valued)
+    trial, robot_value = Trial(valued, plan, AUTO), Worth.of(valued)
     known, rolled = trial.known(), trial.sample(0, 20_000)
     assert known is not None
     assert known.counted == rolled.counted == "value"
     assert close(known.mean("value"), rolled.mean("value"))
-    by_cell = rolled.tally.covered_visited / rolled.rollouts @ worth.value / worth.total
+    by_cell = rolled.tally.covered_visited / rolled.rollouts @ robot_value.value / robot_value.total
     assert rolled.share == pytest.approx(by_cell, abs=1e-9)
     other = Trial(valued, make_plan(valued, plan.starts, Settings(policy="per_cell")), AUTO)
     apart = other.known()
@@ -257,7 +257,7 @@ def test_how_long_exact_values_are_looked_for() -> None:
 
 def test_robots_that_wear_and_differ(capsys: pytest.CaptureFixture[str], tmp_path) -> None:  # type: ignore[no-untyped-def]
     """By starts and clear too; exact and sampled alike, in Python and on the command line."""
-    bears = {"wear": 2.0, "susceptibility": (1.0, 3.0)}
+    bears = {"weibull_shape": 2.0, "hazard_multiplier": (1.0, 3.0)}
     for search in (
         lambda how: mrac.starts(WORLD, 2, candidates=[[0, 0], [0, 5], [13, 13]], exact=how, **bears),
         lambda how: mrac.clear(WORLD, 2, exact=how, **bears),
@@ -265,23 +265,32 @@ def test_robots_that_wear_and_differ(capsys: pytest.CaptureFixture[str], tmp_pat
         exact, rolled = search("auto"), search("never")
         assert exact.engine == ""
         assert rolled.engine
-        assert any("screened as if it were not for robots that wear" in note for note in exact.notes)
+        assert any("screened as if it were not for Weibull shape" in note for note in exact.notes)
         if isinstance(exact.to_json().get("gain"), dict) and "threats" in exact.to_json():
             for one, other in zip(exact.options, rolled.options, strict=True):
                 assert close(one.unknown.cells, other.unknown.cells, 0.02)
         else:
             for one, other in zip(exact.places, rolled.places, strict=True):
                 assert close(one.coverage, other.coverage, 1e-4)
-    front = mrac.front(WORLD, 2, worths=[8], reserves=[], **bears)
-    plain = mrac.front(WORLD, 2, worths=[8], reserves=[])
+    front = mrac.front(WORLD, 2, robot_values=[8], risk_caps=[], **bears)
+    plain = mrac.front(WORLD, 2, robot_values=[8], risk_caps=[])
     assert front.points[0].coverage.mean != plain.points[0].coverage.mean
-    sampled = mrac.front(WORLD, 2, worths=[8], reserves=[], exact="never", rollouts=2000)
+    sampled = mrac.front(WORLD, 2, robot_values=[8], risk_caps=[], exact="never", rollouts=2000)
     truth = {point.setting: point for point in plain.points}
     same = [point for point in sampled.points if point.setting in truth]
     assert same
     assert all(close(truth[point.setting].coverage, point.coverage, 1e-4) for point in same)
     WORLD.save(tmp_path / "world.npz")
-    words = ["starts", str(tmp_path / "world.npz"), "--robots", "2", "--wear", "2", "--susceptibility", "1,3"]
+    words = [
+        "starts",
+        str(tmp_path / "world.npz"),
+        "--robots",
+        "2",
+        "--weibull-shape",
+        "2",
+        "--hazard-multiplier",
+        "1,3",
+    ]
     assert answer_of(capsys, *words)["exact"] is True
 
 
@@ -447,11 +456,11 @@ def test_bets_are_as_sharp_as_they_are_said_to_be() -> None:
 def test_what_is_given_stays_and_no_setting_comes_twice() -> None:
     raced = contenders(Settings(), 8)
     assert len(raced) == len(set(raced)) == 10
-    assert {one.reserve for one in raced} == {None, 1 / 2, 1 / 4, 1 / 8}
+    assert {one.risk_cap for one in raced} == {None, 1 / 2, 1 / 4, 1 / 8}
     assert [one.policy for one in raced].count("mrac") == 1
-    assert {one.reserve for one in contenders(Settings(), 1)} == {None}
-    limited = contenders(Settings(reserve=0.3, worth=20.0, density=6.0, risk="log"), 8)
-    given = Settings(policy="per_cell", reserve=0.3, worth=20.0, density=6.0, risk="log")
+    assert {one.risk_cap for one in contenders(Settings(), 1)} == {None}
+    limited = contenders(Settings(risk_cap=0.3, robot_value=20.0, density=6.0, risk="log"), 8)
+    given = Settings(policy="per_cell", risk_cap=0.3, robot_value=20.0, density=6.0, risk="log")
     assert limited == [given, replace(given, policy="watchful")]
 
 
@@ -513,7 +522,7 @@ def test_one_sentence_says_what_was_found_and_what_no_strategy_exceeds() -> None
 
 def test_where_it_cannot_be_asked(capsys: pytest.CaptureFixture[str]) -> None:
     world = ["example:paper", "--robots", "2"]
-    for words in (["--policy", "best", "--plan", "x.json"], ["--policy", "best", "--plan-for", "open"]):
+    for words in (["--policy", "best", "--plan", "x.json"], ["--policy", "best", "--plan-for", "open_loop"]):
         assert run(["evaluate", *world, *words]) == 2
         assert capsys.readouterr().err.startswith("error: ")
     assert run(["size", "example:paper", "--policy", "best"]) == 2

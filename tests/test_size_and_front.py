@@ -580,8 +580,8 @@ def shown(point: Point, cells: int) -> NDArray[np.float64]:
 
 def test_every_point_is_what_the_simulator_as_python_says(small: Front) -> None:
     settings = {point.setting for point in small.points}
-    assert {Setting("mrac"), Setting("per_cell"), Setting("per_cell", reserve=0.5)} <= settings
-    assert {s.worth for s in settings if s.worth} == {*WORTHS}
+    assert {Setting("mrac"), Setting("per_cell"), Setting("per_cell", risk_cap=0.5)} <= settings
+    assert {s.robot_value for s in settings if s.robot_value} == {*WORTHS}
     cut = {s.policy for s in settings if s.deadline is not None}
     assert cut == {"mrac", "per_cell"} and len(settings) == len(small.points) == 2 + 4 + 1 + 2
     for point in small.points:
@@ -629,10 +629,10 @@ def test_a_goal_picks_the_most_coverage_or_the_fewest_lost() -> None:
 def test_the_ladder_of_worth() -> None:
     assert (first_worth(0.2), first_worth(0.03), first_worth(0.9)) == (5, 33, 1.1)
     assert between(10, 40) == 20 and between(200, 100) == 141
-    assert Setting("per_cell", worth=0.1, deadline=7).options() == shlex.split(
-        "--policy per_cell --worth 0.1 --deadline 7"
+    assert Setting("per_cell", robot_value=0.1, deadline=7).options() == shlex.split(
+        "--policy per_cell --robot-value 0.1 --deadline 7"
     )
-    assert str(Setting("per_cell", 0.25, 12)) == "per_cell, reserve 0.25, worth 12"
+    assert str(Setting("per_cell", 0.25, 12)) == "per_cell, risk cap 0.25, robot value 12"
 
 
 def test_around_a_goal_worths_are_tried_between() -> None:
@@ -641,17 +641,21 @@ def test_around_a_goal_worths_are_tried_between() -> None:
     answer = find_front(
         one.world, one.starts, Settings(), RolloutChoices(rollouts=3000, exact="never"), goal=goal, ladders=ladders
     )
-    settings = {p.setting: p for p in answer.points if p.setting.worth is not None}
-    lost = {setting.worth or 0: point.losses.mean for setting, point in settings.items() if setting.deadline is None}
-    worths = sorted(lost)
-    rungs = [worths[0] * 2.0**step for step in range(16)]
-    tried = {worth for worth in worths if worth not in rungs}
-    assert worths[0] == first_worth(float(np.nanmax(one.world.threat)))
-    assert 1 <= len(tried) <= 3 and lost[worths[-1]] < 0.02
-    assert any(lost[a] > 0.5 >= lost[b] and {a, b} & tried for a, b in pairwise(worths))
+    settings = {p.setting: p for p in answer.points if p.setting.robot_value is not None}
+    lost = {
+        setting.robot_value or 0: point.losses.mean for setting, point in settings.items() if setting.deadline is None
+    }
+    robot_values = sorted(lost)
+    rungs = [robot_values[0] * 2.0**step for step in range(16)]
+    tried = {robot_value for robot_value in robot_values if robot_value not in rungs}
+    assert robot_values[0] == first_worth(float(np.nanmax(one.world.threat)))
+    assert 1 <= len(tried) <= 3 and lost[robot_values[-1]] < 0.02
+    assert any(lost[a] > 0.5 >= lost[b] and {a, b} & tried for a, b in pairwise(robot_values))
     assert len({p.figures for p in settings.values()}) == len(settings)
-    (early,) = {setting.worth for setting in settings if setting.deadline is not None}
-    assert lost[max(worth for worth in worths if worth <= (early or 0))] > 0.5  # equal ones are left out
+    (early,) = {setting.robot_value for setting in settings if setting.deadline is not None}
+    assert (
+        lost[max(robot_value for robot_value in robot_values if robot_value <= (early or 0))] > 0.5
+    )  # equal ones are left out
 
 
 # The command.
@@ -682,9 +686,9 @@ def test_the_plan_of_the_pick_keeps_what_was_promised(
         "5",
         "--levels",
         "8",
-        "--worths",
+        "--robot-values",
         "12",
-        "--reserves",
+        "--risk-caps",
         "",
         "--exact",
         "never",
@@ -696,7 +700,7 @@ def test_the_plan_of_the_pick_keeps_what_was_promised(
     assert same["coverage"]["visited"]["mean"] == point["coverage"]["mean"]
     assert same["losses"]["mean"] == point["losses"]["mean"] and same["time"]["mean"] == point["time"]["mean"]
     assert same["plan"]["settings"]["levels"] == 8 and same["plan"]["settings"].get("deadline") == point["deadline"]
-    keys = {"policy", "reserve", "worth", "deadline", "coverage", "losses", "time", "efficient"}
+    keys = {"policy", "risk_cap", "robot_value", "deadline", "coverage", "losses", "time", "efficient"}
     assert all(set(one) == keys for one in front["points"]) and any(one["efficient"] for one in front["points"])
     again = front["confirmed"]
     assert again["first_rollout"] == front["rollouts"] == 1000 and 1 <= again["tried"] <= 6
@@ -707,7 +711,7 @@ def test_the_command_of_the_pick_rolls_out_luck_that_had_no_part_in_the_choice(
     capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path
 ) -> None:
     saved = tmp_path / "plan.json"
-    told = ["front", world_file, "--rollouts", "1000", "--seed", "5", "--worths", "12", "--reserves", "",
+    told = ["front", world_file, "--rollouts", "1000", "--seed", "5", "--robot-values", "12", "--risk-caps", "",
             "--exact", "never", "--losses", "0.9", "--deadline", "40"]  # fmt: skip
     for more, ended in (([], True), (["--plan-out", str(saved)], False)):
         front = answer_of(capsys, *told, *more)
@@ -766,7 +770,7 @@ def test_the_chance_of_error_is_shared_among_tries(monkeypatch: pytest.MonkeyPat
 
 
 def test_without_a_goal_the_headline_is_of_fresh_rollouts(capsys: pytest.CaptureFixture[str], world_file: str) -> None:
-    front = mrac.front(mrac.load(world_file), rollouts=300, worths=[4, 15, 500], exact="never")
+    front = mrac.front(mrac.load(world_file), rollouts=300, robot_values=[4, 15, 500], exact="never")
     assert [point.setting for point in front.priced] == [point.setting for point in front.corners()]
     for point in front.priced:
         own = next(one for one in front.points if one.setting == point.setting)
@@ -780,7 +784,7 @@ def test_without_a_goal_the_headline_is_of_fresh_rollouts(capsys: pytest.Capture
 def test_a_goal_that_nothing_meets_is_an_answer(
     capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path
 ) -> None:
-    words = ["front", world_file, "--rollouts", "50", "--worths", "", "--reserves", "", "--target", "1"]
+    words = ["front", world_file, "--rollouts", "50", "--robot-values", "", "--risk-caps", "", "--target", "1"]
     assert run([*words, "--plan-out", str(tmp_path / "plan.json")]) == 0
     out = capsys.readouterr().out
     assert out.startswith("No setting has 100 % or more covered on average: the most is")
@@ -796,10 +800,13 @@ def test_a_goal_that_nothing_meets_is_an_answer(
         (["--target", "90"], "did you mean 0.9?"),
         (["--losses", "99"], "--losses 99; expected at most 2, the robots that there are to lose"),
         (["--policy", "per_cell"], "Unknown option: --policy; it is an option of evaluate, "),
-        (["--worth", "5"], "Unknown option: --worth; did you mean '--worths'? --worth is an option of evaluate, "),
-        (["--worths", "5,much"], "--worths '5,much'; expected numbers"),
-        (["--worths", "5,-1"], "--worths -1; expected a number above 0"),
-        (["--reserves", "2"], "--reserves 2; expected"),
+        (
+            ["--robot-value", "5"],
+            "Unknown option: --robot-value; did you mean '--robot-values'? --robot-value is an option of evaluate, ",
+        ),
+        (["--robot-values", "5,much"], "--robot-values '5,much'; expected numbers"),
+        (["--robot-values", "5,-1"], "--robot-values -1; expected a number above 0"),
+        (["--risk-caps", "2"], "--risk-caps 2; expected"),
         (["--plan-out", "plan.json"], "--plan-out plan.json without a pick"),
         (["--rollouts", "4294967296"], "--rollouts 4294967296; expected at most 2147483648"),
     ],
@@ -851,8 +858,8 @@ def test_the_front_prints_and_saves_itself(small: Front, tmp_path: Path) -> None
     assert 2 <= len(repr(small).splitlines()) <= 24 and small._repr_html_().startswith("<b>")
     told = json.loads((tmp_path / "out" / "front.json").read_text())
     assert told["points"][told["pick"]]["losses"]["mean"] <= told["confirmed"]["bound"] <= 0.8
-    with pytest.raises(InputError, match="worths=-5"):
-        mrac.front(WORLD_FRONT, worths=[-5])
+    with pytest.raises(InputError, match="robot_values=-5"):
+        mrac.front(WORLD_FRONT, robot_values=[-5])
     with pytest.raises(UsageError, match="losses=nan"):
         make_front_goal(float("nan"), None)
 
@@ -864,7 +871,7 @@ def test_a_quick_front_knows_what_is_free_and_what_all_costs() -> None:
     ask: dict[str, Any] = {"losses": 9.0, "kept": AllPairs(), "doing": lambda what: None}
     choices = RolloutChoices(engine="numba", rollouts=512, exact="never")
     points = quick_points(WORLD_FRONT, WORLD_FRONT.starts, Settings(), choices, seconds=60, **ask)
-    assert {point.setting.family for point in points} == {"mrac", "per_cell", "worth"}
+    assert {point.setting.family for point in points} == {"mrac", "per_cell", "robot_value"}
     whole = find_front(WORLD_FRONT, WORLD_FRONT.starts, Settings(), choices, ladders=Ladders((), None, ()))
     known = {point.setting: point.figures for point in whole.points}
     both = [point for point in points if point.setting in known]
@@ -890,7 +897,7 @@ def test_code_that_the_first_setting_compiles_costs_a_quick_front_no_time(monkey
         clock=clock,
         **ask,
     )
-    assert len(points) > 3 and {point.setting.family for point in points} == {"mrac", "per_cell", "worth"}
+    assert len(points) > 3 and {point.setting.family for point in points} == {"mrac", "per_cell", "robot_value"}
 
 
 def test_evaluate_says_what_costs_no_robot_and_what_the_rest_costs(
@@ -898,12 +905,12 @@ def test_evaluate_says_what_costs_no_robot_and_what_the_rest_costs(
 ) -> None:
     words = ["evaluate", world_file, "--rollouts", "8192"]
     advice = answer_of(capsys, *words)["advice"]
-    keys = {"policy", "reserve", "worth", "coverage", "losses", "difference", "rollouts", "front"}
+    keys = {"policy", "risk_cap", "robot_value", "coverage", "losses", "difference", "rollouts", "front"}
     assert set(advice) == keys and advice["policy"] == "per_cell" and advice["rollouts"] == 1024
-    assert any(point["worth"] == advice["worth"] for point in advice["front"])
+    assert any(point["robot_value"] == advice["robot_value"] for point in advice["front"])
     world = mrac.load(world_file)
-    pair = [(world, mrac.plan(world, policy=policy, worth=advice["worth"] if policy == "per_cell" else None))
-            for policy in ("mrac", "per_cell")]  # fmt: skip
+    values = {"mrac": None, "per_cell": advice["robot_value"]}
+    pair = [(world, mrac.plan(world, policy=policy, robot_value=value)) for policy, value in values.items()]
     fair = mrac.compare(*pair, rollouts=1024).difference("visited").estimate
     assert advice["difference"] == fair.to_json()
     other = mrac.evaluate(*pair[1], rollouts=1024, advice=False, band=False)
@@ -913,11 +920,11 @@ def test_evaluate_says_what_costs_no_robot_and_what_the_rest_costs(
     assert answer_of(capsys, *words[:3], "63")["advice"] is None
     assert run(words) == 0
     shown = capsys.readouterr().out
-    line = f"`--policy per_cell --worth {advice['worth']:g}`"
-    assert line in " ".join(shown.split()) and shown.index("--worth") > shown.index("Coverage, %")
+    line = f"`--policy per_cell --robot-value {advice['robot_value']:g}`"
+    assert line in " ".join(shown.split()) and shown.index("--robot-value") > shown.index("Coverage, %")
     told = mrac.evaluate(world, rollouts=8192, band=False)
     (lead,) = told.outputs["advice"].blocks().alternatives
-    assert re.match(r"To cover [\d.]+ % and lose .*: `policy='per_cell', worth=\d+`[;.]", lead)
+    assert re.match(r"To cover [\d.]+ % and lose .*: `policy='per_cell', robot_value=\d+`[;.]", lead)
     assert lead in str(told).splitlines() and str(told).index(lead) < str(told).index("visited on average")
     assert escape(lead) in told._repr_html_()
 
@@ -980,25 +987,27 @@ def test_files_are_written_though_the_reader_has_gone(
 
 def test_a_setting_that_covers_more_for_no_more_robots_is_advised() -> None:
     """Where the plan loses few robots, only what covers more for sure is named."""
-    now, cheap = Setting("mrac"), Setting("per_cell", worth=40.0)
+    now, cheap = Setting("mrac"), Setting("per_cell", robot_value=40.0)
     point = Point(cheap, exactly(0.9), exactly(0.1), exactly(20.0), None, 0.9, 0.1)
     found = Advice((now, exactly(0.8), exactly(0.2)), 5, (point,), 64, point, exactly(0.1))
     assert not found.saves(point) and found.better() is point
     (said,) = found.blocks().alternatives
-    assert said == ("To cover 90.0 % (10.00 points more) without losing more robots: `policy='per_cell', worth=40`.")
+    assert said == (
+        "To cover 90.0 % (10.00 points more) without losing more robots: `policy='per_cell', robot_value=40`."
+    )
     assert Advice((now, exactly(0.95), exactly(0.2)), 5, (point,), 64).better() is None
     costly = Advice((now, exactly(0.95), exactly(5.0)), 5, (point,), 64, point, exactly(-0.05))
     assert list(costly.blocks().alternatives) == [
-        "To cover 90.0 % and lose 0.10 robots on average: `policy='per_cell', worth=40`."
+        "To cover 90.0 % and lose 0.10 robots on average: `policy='per_cell', robot_value=40`."
     ]
 
 
 def test_what_hardly_covers_anything_is_not_advised_because_it_is_free() -> None:
     """Then the knee is, if there is one; and what covers clearly more than the plan at its price is named beside it."""
 
-    def priced(worth: float | None, coverage: float, losses: float) -> Point:
+    def priced(robot_value: float | None, coverage: float, losses: float) -> Point:
         figures = exactly(coverage), exactly(losses), exactly(20.0)
-        return Point(Setting("per_cell", worth=worth), *figures, None, coverage, losses)
+        return Point(Setting("per_cell", robot_value=robot_value), *figures, None, coverage, losses)
 
     now, points = (Setting("mrac"), exactly(0.6), exactly(3.0)), (priced(99, 0.02, 0.0), priced(20, 0.5, 1.0))
     found = Advice(now, 3, points, 64)
@@ -1009,7 +1018,7 @@ def test_what_hardly_covers_anything_is_not_advised_because_it_is_free() -> None
     whole = replace(found, points=(*points, best), advised=points[1], difference=exactly(-0.1))
     (said,) = whole.blocks().alternatives
     assert said == (
-        "To cover 50.0 % and lose 1.00 robots on average: `policy='per_cell', worth=20`; "
+        "To cover 50.0 % and lose 1.00 robots on average: `policy='per_cell', robot_value=20`; "
         "to cover 70.0 % with the same losses: `policy='per_cell'`."
     )
     fewer = replace(best, losses=exactly(2.5))
@@ -1023,18 +1032,18 @@ def test_the_knee_is_the_best_bargain_between_two_settings() -> None:
     assert knee(points, low, high) == 2  # (0.4 / 0.6) - (2 / 6) = 1 / 3 above the line
     assert knee([low, Figures(0.5, 3.0, 9.0), Figures(0.5, 2.5, 9.0), high], low, high) is None
     assert knee(points, high, low) is None and knee([], low, high) is None
-    front = mrac.front(WORLD_FRONT, rollouts=300, worths=[4, 15, 500])
-    middle = Point(Setting("per_cell", worth=7.0), exactly(0.99), exactly(0.05), exactly(5.0), None, 0.99, 0.05)
+    front = mrac.front(WORLD_FRONT, rollouts=300, robot_values=[4, 15, 500])
+    middle = Point(Setting("per_cell", robot_value=7.0), exactly(0.99), exactly(0.05), exactly(5.0), None, 0.99, 0.05)
     most = replace(middle, setting=Setting("mrac"), coverage=exactly(1.0), losses=exactly(2.0))
-    free = replace(middle, setting=Setting("per_cell", worth=9.0), coverage=exactly(0.3), losses=exactly(0.0))
+    free = replace(middle, setting=Setting("per_cell", robot_value=9.0), coverage=exactly(0.3), losses=exactly(0.0))
     bent = replace(front, points=(free, middle, most), priced=(free, middle, most), words=("map.npy",))
     assert bent.corners() == (free, middle, most)
     assert front_headline(bent) == (
         "2 robots can cover 30.0 % and lose no robot, 99.0 % and lose 0.05 robots, or 100 % and lose both robots, "
         "on average."
     )
-    assert pick_lines(bent)[1] == "per_cell, worth 7: 99.00 % covered, 0.05 robots lost."
-    assert any(line.startswith("run it: ") and "--worth 7 " in line for line in pick_lines(bent)), "the bargain"
+    assert pick_lines(bent)[1] == "per_cell, robot value 7: 99.00 % covered, 0.05 robots lost."
+    assert any(line.startswith("run it: ") and "--robot-value 7 " in line for line in pick_lines(bent)), "the bargain"
 
 
 def test_no_advice_where_nothing_is_in_danger_or_there_is_one_way_to_go() -> None:
@@ -1063,7 +1072,7 @@ def test_a_large_map_gets_fewer_rollouts_of_each_setting_by_its_size_alone() -> 
     assert {shape: usual_rollouts(World.create(np.zeros(shape)), np.zeros((1, 2), int)) for shape in sizes} == sizes
     threat = np.zeros((46, 46))
     threat[9, 9] = 0.5
-    answer = mrac.front(World.create(threat), starts=[[0, 0]], worths=())
+    answer = mrac.front(World.create(threat), starts=[[0, 0]], robot_values=())
     assert answer.choices.rollouts == 2048
 
 

@@ -37,7 +37,7 @@ from planner.world.world import World
 
 # State files: a mission cut at a step, saved and gone on with ends as the uncut one (SPEC section 12).
 
-LEFT_OUT = {"mrac, deadline", "per_cell, log", "wear", "home", "nearest, deadline", "own rule"}
+LEFT_OUT = {"mrac, deadline", "per_cell, log", "weibull_shape", "home", "nearest, deadline", "own rule"}
 SETTINGS = {name: more for name, more in DRIVEN.items() if name not in LEFT_OUT}
 STEPS = (0, 3, 11, 25)
 """Where rollouts are cut, every other one of them each."""
@@ -128,7 +128,7 @@ def test_where_areas_are_given_anew_nobody_has_waited_or_is_held() -> None:
     assert [make_plan(world, state.starts, state=state).time for state in states] == [22, 22]
     world, plan = case(10)
     said = by_hand(world, plan, sorted({int(row * 9 + col) for row, col in plan.starts})) | {"held": [1, 2]}
-    rest = rest_of(world, parse_state(said, world, "hand.json"), **SETTINGS["worth"])
+    rest = rest_of(world, parse_state(said, world, "hand.json"), **SETTINGS["robot_value"])
     assert rest.state is not None and [robot.status for robot in rest.state.robots] == ["dead", *["traveling"] * 3]
     assert not any(robot.held for robot in rest.state.robots)
 

@@ -100,7 +100,7 @@ def test_interval_holds_as_often_as_it_says() -> None:
 
 
 def held_by(samples: np.ndarray, truth: float) -> tuple[np.ndarray, np.ndarray]:
-    """(whether each histogram's interval holds `truth`, its half-width over 1.96 standard errors), `[samples]`."""
+    """(whether each histogram's interval holds `true_map`, its half-width over 1.96 standard errors), `[samples]`."""
     found = [mean_estimate(counts, 1.0) for counts in samples]
     held = np.array([e.ci95[0] - 1e-9 <= truth <= e.ci95[1] + 1e-9 for e in found])
     return held, np.array([e.half_width / (Z95 * e.se) if e.se > 0 else np.inf for e in found])
@@ -687,7 +687,7 @@ def test_every_answer_s_time_reaches_so_far() -> None:
     sampled, plan = {"rollouts": 40, "exact": "never"}, mrac.plan(world, starts=ENDS)
     evaluated = mrac.evaluate(world, plan, advice=False, band=False, **sampled, **quiet)
     assert np.count_nonzero(evaluated.tally.time) == 1
-    points = mrac.front(world, starts=ENDS, losses=2.0, reserves=[], worths=[4.0], **sampled, **quiet).points
+    points = mrac.front(world, starts=ENDS, losses=2.0, risk_caps=[], robot_values=[4.0], **sampled, **quiet).points
     teams = mrac.size(World.create(world.threat, starts=ENDS), target=0.99, **sampled).points
     times = [evaluated.figures.time, *(point.time for point in points if point.setting.deadline is None)]
     times += [point.time for point in teams if point.robots == 2 and point.time is not None]
@@ -700,8 +700,8 @@ def test_every_answer_s_time_reaches_so_far() -> None:
 
 def test_of_one_robot_and_of_the_open_loop_a_proven_largest_time() -> None:
     world = World.create([[0, 0, 0.5, 0, np.nan, 0], [0, 0, 0.1, 0, 0, 0]])
-    for worth in (None, 30.0):
-        plan = mrac.plan(world, starts=[(0, 0)], policy="per_cell", worth=worth)
+    for robot_value in (None, 30.0):
+        plan = mrac.plan(world, starts=[(0, 0)], policy="per_cell", robot_value=robot_value)
         most = longest_run(world, plan, "closed")
         tally = make_engine(plan, world, Rolling(), "numba").tally(0, 2000)
         assert np.flatnonzero(tally.time).max() == most < longest_mission(world, [(0, 0)], Settings())

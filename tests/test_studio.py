@@ -115,8 +115,9 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 
 EVERY_KEY: dict[str, Any] = {
-    "levels": 4, "wear": 2.0, "deadline": 90, "in_area": "rows", "range": (20, 30), "susceptibility": (1.0, 3.0),
-    "return_to": ((0, 0), (2, 1)), "recharge": 3, "steps_per_move": (1, 2), "radio": 3.5,
+    "levels": 4, "weibull_shape": 2.0, "deadline": 90, "in_area": "rows", "range": (20, 30),
+    "hazard_multiplier": (1.0, 3.0), "return_to": ((0, 0), (2, 1)), "recharge": 3, "steps_per_move": (1, 2),
+    "radio": 3.5,
 }  # fmt: skip
 """Settings that a scenario can name, but for a policy's and types; not all of them together make a plan."""
 
@@ -130,7 +131,7 @@ def test_the_saved_board_gives_the_same_figures_on_the_command_line(
     """One board answered over HTTP, saved, and run again by the command that the page shows."""
     first = served.studio.first
     starts = [[0, 0], [13, 22], [13, 22], [0, 0]]
-    board = first.to_json() | {"starts": starts, "policy": "per_cell", "reserve": 0.5, "deadline": 60}
+    board = first.to_json() | {"starts": starts, "policy": "per_cell", "risk_cap": 0.5, "deadline": 60}
     cells = np.frombuffer(base64.b64decode(board["cells"]), dtype="<f4").copy()
     cells[[30, 31, 53]] = 0.25
     cells[0] = cells[-1] = 0
@@ -138,7 +139,7 @@ def test_the_saved_board_gives_the_same_figures_on_the_command_line(
     status, lines = served.post("/answer", board)
     assert status == 200 and lines[0]["stage"] == "open" and lines[-1]["stage"] == "done"
     world = World.create(cells.reshape(14, 23), starts)
-    exact = open_loop_exact(make_plan(world, starts, Settings(policy="per_cell", reserve=0.5)), world)
+    exact = open_loop_exact(make_plan(world, starts, Settings(policy="per_cell", risk_cap=0.5)), world)
     covered = 100 * exact.visited / world.accessible(starts).sum()
     assert f"would cover {covered:.2f} % (exact)" in lines[0]["headline"]
 
@@ -164,7 +165,7 @@ def test_what_robots_do_not_know_costs_what_evaluate_says(
     unknown = np.zeros((14, 23), dtype=np.uint8)
     unknown[4:, 8:] = 1
     hidden = base64.b64encode(unknown.tobytes()).decode()
-    board = first.to_json() | {"unknown": hidden, "believed": 0.1, "sense": 1}
+    board = first.to_json() | {"unknown": hidden, "believed": 0.1, "sensor_range": 1}
     status, lines = served.post("/answer", board)
     assert status == 200 and {"sure", "done"} <= {line["stage"] for line in lines} <= {"closed", "sure", "done"}
     figures = {name: (value, note) for value, name, note in lines[-1]["figures"]}
@@ -188,7 +189,7 @@ def test_what_robots_do_not_know_costs_what_evaluate_says(
     with pytest.raises(InputError, match="believe several things"):
         Sketch.of(with_truth(first.world, np.where(np.isnan(true), np.nan, 0.5), 1), 3, Settings())
     with pytest.raises(InputError, match="wrong about an obstacle"):
-        read_sketch(json.dumps(board | {"sense": 0}).encode(), first)
+        read_sketch(json.dumps(board | {"sensor_range": 0}).encode(), first)
 
 
 def test_a_saved_board_is_the_same_board_again(tmp_path: Path) -> None:
@@ -198,7 +199,9 @@ def test_a_saved_board_is_the_same_board_again(tmp_path: Path) -> None:
     boards = (
         Sketch(world, 7, Settings(levels=4, range=900)),
         Sketch(
-            world.with_starts([[0, 1], [0, 1]]), 2, Settings(policy="per_cell", reserve=0.25, worth=1e-7, range=(5, 8))
+            world.with_starts([[0, 1], [0, 1]]),
+            2,
+            Settings(policy="per_cell", risk_cap=0.25, robot_value=1e-7, range=(5, 8)),
         ),
         Sketch(replace(world, pace=Pace(7.0, 2.0)), 2, Settings(**EVERY_KEY)),
     )
@@ -350,7 +353,10 @@ def test_100_boards_at_once_are_answered_with_the_last_one(served: Served) -> No
         ({"cells": base64.b64encode(np.full(14 * 23, np.nan, "<f4").tobytes()).decode()}, "every cell is an obstacle"),
         ({"unknown": "AAAA"}, "`unknown`"),
         ({"believed": 1}, "`believed`"),
-        ({"sense": 0.5, "unknown": base64.b64encode(np.ones(14 * 23, "u1").tobytes()).decode()}, "sense is 0.5"),
+        (
+            {"sensor_range": 0.5, "unknown": base64.b64encode(np.ones(14 * 23, "u1").tobytes()).decode()},
+            "sensor_range is 0.5",
+        ),
         ({"deadline": "45min"}, "nobody says how long a step takes"),
         ({"deadline": "soon"}, "`deadline` is soon"),
         ({"starts": [[99, 0]]}, "outside the map"),
@@ -360,8 +366,8 @@ def test_100_boards_at_once_are_answered_with_the_last_one(served: Served) -> No
         ({"robots": 0}, "`robots`"),
         ({"robots": 1e9}, "`robots`"),
         ({"policy": "<b>"}, "`policy`"),
-        ({"reserve": 0.5}, "reserve is 0.5 with policy mrac"),
-        ({"policy": "per_cell", "worth": -1}, "worth is -1"),
+        ({"risk_cap": 0.5}, "risk_cap is 0.5 with policy mrac"),
+        ({"policy": "per_cell", "robot_value": -1}, "robot_value is -1"),
         ({"deadline": 0}, "`deadline`"),
         ({"out": "/etc/passwd"}, "unknown key `out`"),
     ],
@@ -396,7 +402,7 @@ def test_the_command_names_what_is_wrong(tmp_path: Path, capfd: pytest.CaptureFi
     np.save(large, np.zeros((501, 500)))
     np.save(tmp_path / "small.npy", np.full((3, 3), 0.1))
     (tmp_path / "painted.yaml").write_text("map: large.npy\n")
-    (tmp_path / "doubt.yaml").write_text("map: small.npy\nhazard: {kind: persistent}\n")
+    (tmp_path / "doubt.yaml").write_text("map: small.npy\nlatent_hazard: {kind: persistent}\n")
     with socket.create_server((HOST, 0)) as taken:
         port = taken.getsockname()[1]
         for words, said in (

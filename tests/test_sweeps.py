@@ -361,7 +361,7 @@ sweep:
         state = {"format": "mrac-state", "version": 1, "step": 0, "visited": starts.tolist(),
                  "robots": [{"cell": cell, "exposure": borne} for cell in starts.tolist()]}  # fmt: skip
         (tmp_path / "state.json").write_text(json.dumps(state))
-        mrac.plan(dangerous, state=tmp_path / "state.json", wear=3.0).save(tmp_path / f"{name}.json")
+        mrac.plan(dangerous, state=tmp_path / "state.json", weibull_shape=3.0).save(tmp_path / f"{name}.json")
     with Memory() as store:
         states = text.replace("ours.json, theirs.json", "fresh.json, worn.json").replace("open", "closed")
         fresh, worn = run_sweep(read_spec(spec_file(tmp_path, states)), store, processes=1).rows
@@ -377,14 +377,14 @@ def test_plans_for_the_open_loop_are_swept_in_both_loops(tmp_path: Path) -> None
     world = random_world(6, 8, ThreatPattern(seed=4, levels=(0.3, 0.5)))
     world.save(tmp_path / "world.npz")
     text = """
-base: {input: world.npz, robots: 2, plan_for: open, effort: 200}
+base: {input: world.npz, robots: 2, plan_for: open_loop, effort: 200}
 rollouts: 200
 sweep: {loop: [open, closed]}
 """
     with Memory() as store:
         rows = run_sweep(read_spec(spec_file(tmp_path, text)), store, processes=1).rows
     means = [row.estimate("visited").mean for row in rows]
-    plan = mrac.plan(world, robots=2, plan_for="open", effort=200)
+    plan = mrac.plan(world, robots=2, plan_for="open_loop", effort=200)
     for mean, loop in zip(means, ("open", "closed"), strict=True):
         answer = mrac.evaluate(world, plan, loop=loop, rollouts=200, engine="numba")  # type: ignore[arg-type]
         visited = answer.tally.visited  # counted: what is reported is exact
@@ -394,11 +394,11 @@ sweep: {loop: [open, closed]}
 
 
 def test_null_is_a_value_where_a_setting_may_be_unset(tmp_path: Path) -> None:
-    spec = read_spec(spec_file(tmp_path, "base: {policy: per_cell}\nsweep: {reserve: [null, 0.5]}"))
+    spec = read_spec(spec_file(tmp_path, "base: {policy: per_cell}\nsweep: {risk_cap: [null, 0.5]}"))
     assert [job.case.choices.given() for job in spec.jobs(0, 1)] == [
-        {"policy": "per_cell"}, {"policy": "per_cell", "reserve": 0.5}
+        {"policy": "per_cell"}, {"policy": "per_cell", "risk_cap": 0.5}
     ]  # fmt: skip
-    assert [spec.labels(case, 0) for case in (0, 1)] == [{"reserve": "null"}, {"reserve": 0.5}]
+    assert [spec.labels(case, 0) for case in (0, 1)] == [{"risk_cap": "null"}, {"risk_cap": 0.5}]
 
 
 BAD = {
@@ -821,7 +821,7 @@ ROLLOUTS = 1100
 
 def swept_unsaid(folder: Path, text: str, rollouts: int = ROLLOUTS) -> Sweep:
     TRUE.save(folder / "true.npz", force=True)
-    (folder / "dark.yaml").write_text("map: true.npz\nprior: {p: 0.04}\nsense: .inf\nrobots: {count: 2}\n")
+    (folder / "dark.yaml").write_text("map: true.npz\nprior_map: {p: 0.04}\nsensor_range: .inf\nrobots: {count: 2}\n")
     (folder / "try.yaml").write_text(f"{text}\nrollouts: {rollouts}\n")
     with Store.open(folder / "try.store") as store:
         return run_sweep(read_spec(folder / "try.yaml"), store, processes=1)
@@ -839,29 +839,30 @@ FINDS = {"range": 1, "detect": 0.8, "false_alarm": 0.1}
 LEARN = "{kind: %s, h: 0.5, learn: true}"
 WALKS = [{"walk": 0.5, "h": "threats"}]
 SWEEPS = {
-    "base: {input: dark.yaml}\nsweep: {sense: [1, 2, .inf]}": [dark(1), dark(2), dark(inf)],
-    "base: {input: true.npz, robots: 2, sense: {range: 2, sight: true}}\n"
-    "sweep: {prior: [{p: 0.04}, {p: 0.04, obstacles: known}]}": [
+    "base: {input: dark.yaml}\nsweep: {sensor_range: [1, 2, .inf]}": [dark(1), dark(2), dark(inf)],
+    "base: {input: true.npz, robots: 2, sensor_range: {range: 2, sight: true}}\n"
+    "sweep: {prior_map: [{p: 0.04}, {p: 0.04, obstacles: known}]}": [
         mrac.with_prior(TRUE, 0.04, obstacles, sense={"range": 2, "sight": True}) for obstacles in ("unknown", "known")
     ],
-    "base: {input: dark.yaml, sense: 0, prior: {p: 0.04, obstacles: known}}\nsweep: {prior.p: [0.04]}": [
+    "base: {input: dark.yaml, sensor_range: 0, prior_map: {p: 0.04, obstacles: known}}\nsweep: {prior.p: [0.04]}": [
         dark(0, "known")
     ],
     "base: {input: true.npz, robots: 2, plan_on: own}\n"
-    "sweep: {movers: [[{walk: 0.5, h: threats}], [{walk: 1, h: threats}]]}": [
+    "sweep: {moving_threats: [[{walk: 0.5, h: threats}], [{walk: 1, h: threats}]]}": [
         mrac.with_movers(TRUE, [{"walk": stay, "h": "threats"}], "own") for stay in (0.5, 1)
     ],
-    f"base: {{input: true.npz, robots: 1, movers: [{GUARD}]}}\nsweep: {{'movers[0].h': [0.1, 0.3]}}": [
+    f"base: {{input: true.npz, robots: 1, moving_threats: [{GUARD}]}}\nsweep: {{'movers[0].h': [0.1, 0.3]}}": [
         mrac.with_movers(TRUE, [{"patrol": [[1, 2], [1, 3], [2, 3], [2, 2]], "h": h}]) for h in (0.1, 0.3)
     ],
-    f"base: {{input: true.npz, robots: 2, hazard: {LEARN % 'persistent'}}}\nsweep: {{hazard.learn: [true, false]}}": [
+    f"base: {{input: true.npz, robots: 2, latent_hazard: {LEARN % 'persistent'}}}\n"
+    "sweep: {latent_hazard.learn: [true, false]}": [
         mined(TRUE), mined(TRUE, learn=False)
     ],
-    "base: {input: true.npz, robots: 2, sense: {range: 1, detect: 0.8, false_alarm: 0.1}}\n"
-    f"sweep: {{hazard: [{LEARN % 'persistent'}, {LEARN % 'consumed'}]}}": [
+    "base: {input: true.npz, robots: 2, sensor_range: {range: 1, detect: 0.8, false_alarm: 0.1}}\n"
+    f"sweep: {{latent_hazard: [{LEARN % 'persistent'}, {LEARN % 'consumed'}]}}": [
         mrac.with_sense(mined(TRUE, kind), FINDS) for kind in ("persistent", "consumed")
     ],
-    "base: {input: true.npz, robots: 2}\nsweep: {uncertain: [{spread: {kind: lognormal, sigma: 0.5}}]}": [
+    "base: {input: true.npz, robots: 2}\nsweep: {map_uncertainty: [{spread: {kind: lognormal, sigma: 0.5}}]}": [
         mrac.with_spread(TRUE, "lognormal", 0.5)
     ],
 }  # fmt: skip
@@ -890,8 +891,8 @@ def test_a_row_is_what_evaluate_says(text: str, tmp_path: Path) -> None:
 OF_TEAMS = {
     "range: 20, return_to: home": "robots: [3, 4]",
     "range: 14, return_to: home, recharge: 3": "policy: [mrac, per_cell]",
-    "susceptibility: 2, start: upper-left": "robots: [3, 1]",
-    "susceptibility: [1, 3]": "starts: [[[0, 3], [4, 0]]]",
+    "hazard_multiplier: 2, start: upper-left": "robots: [3, 1]",
+    "hazard_multiplier: [1, 3]": "starts: [[[0, 3], [4, 0]]]",
 }
 
 
@@ -921,7 +922,7 @@ REFUSED = {
     "count: 2, steps_per_move: [1, 2]": "a sweep with steps_per_move",
     "count: 2, matrix: {a: {x: 2}}, types: a": "a sweep with types",
     "count: 2, range: [9, 8]": "range of 2 robots for a team of 3; expected one number",
-    "count: 2, susceptibility: [1, 3]": "susceptibility of 2 robots for a team of 3; expected one number",
+    "count: 2, hazard_multiplier: [1, 3]": "hazard_multiplier of 2 robots for a team of 3; expected one number",
     "starts: [[0, 3], [4, 0]]": "robots=3 contradicts the 2 starts of .*team.yaml; leave robots out",
 }
 
@@ -937,7 +938,7 @@ def test_what_another_team_cannot_have_is_found_before_the_first_rollout(block: 
 
 def test_random_maps_are_gone_on_with(tmp_path: Path) -> None:
     """All of them look alike to robots that know nothing, and yet each is a run of its own."""
-    text = "base: {size: 6x8, robots: 2, prior: {p: 0.04}}\nmaps: %d\nseed: 3\nsweep: {sense: [1, 2]}"
+    text = "base: {size: 6x8, robots: 2, prior_map: {p: 0.04}}\nmaps: %d\nseed: 3\nsweep: {sensor_range: [1, 2]}"
     swept_unsaid(tmp_path, text % 2, 30)
     answer = swept_unsaid(tmp_path, text % 3, 30)
     assert (answer.finished.rollouts, answer.finished.reused) == (2 * 30, 4 * 30)
@@ -957,7 +958,7 @@ def shifted(world: World) -> World:
 @pytest.mark.parametrize(
     ("key", "value", "made"),
     [
-        ("hazard", "{kind: persistent, h: 0.5, learn: true}", mined),
+        ("latent_hazard", "{kind: persistent, h: 0.5, learn: true}", mined),
         ("phases", "[{from: 9, threats: [{raster: %s}]}]", shifted),
     ],
 )
@@ -980,27 +981,30 @@ def covered(world: World, robots: int, policy: str, seed: int, rollouts: int) ->
 
 
 def test_null_leaves_a_key_out_and_names_are_shown(tmp_path: Path) -> None:
-    text = "base: {size: 6x8, plan_on: own}\nmaps: 1\nsweep: {movers: [null, [{walk: 1, h: threats}]]}"
+    text = "base: {size: 6x8, plan_on: own}\nmaps: 1\nsweep: {moving_threats: [null, [{walk: 1, h: threats}]]}"
     told, among = swept_unsaid(tmp_path, text, 10).rows
     assert told.estimate("visited").mean == pytest.approx(covered(small(0), 1, "mrac", 0, 10))
     assert told.known("ideal") is not None and among.known("ideal") is None
-    assert among.labels == {"movers": '[{"h":"threats","walk":1}]'}
-    assert read_spec(tmp_path / "try.yaml").labels(0, 0) == {"movers": "null"}
+    assert among.labels == {"moving_threats": '[{"h":"threats","walk":1}]'}
+    assert read_spec(tmp_path / "try.yaml").labels(0, 0) == {"moving_threats": "null"}
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("sweep: {sense: [1]}", "sweep.sense: .*random map: .*nothing to sense"),
-        ("base: {prior: {p: 0.04}}\nsweep: {sense: [1, 0.5]}", "sweep.sense: .*from 1 on"),
-        ("base: {sense: 0}\nsweep: {prior: [{p: 0.04}]}", "wrong about an obstacle"),
-        ("sweep: {plan_on: [own]}", "none without movers"),
-        ("sweep: {prior.p: [0.1]}", "there is no prior.p to sweep"),
-        ("sweep: {movers: [[{walk: 0.5, h: often}]]}", "threats"),
-        ("sweep: {movers: [[{walk: 0.5, h: threats, count: 2}]]}", "count"),
-        ("sweep: {hazard: [{kind: consumed, learn: often}]}", "learn` is 'often'"),
-        ("base: {phases: [{from: 0, threats: []}]}\nsweep: {hazard: [{kind: consumed}]}", "none beside hazard"),
-        ("base: {input: true.npz}\nsweep: {truth: [none.npz]}", "none.npz"),
+        ("sweep: {sensor_range: [1]}", "sweep.sensor_range: .*random map: .*nothing to sense"),
+        ("base: {prior_map: {p: 0.04}}\nsweep: {sensor_range: [1, 0.5]}", "sweep.sensor_range: .*from 1 on"),
+        ("base: {sensor_range: 0}\nsweep: {prior_map: [{p: 0.04}]}", "wrong about an obstacle"),
+        ("sweep: {plan_on: [own]}", "none without moving_threats"),
+        ("sweep: {prior_map.p: [0.1]}", "there is no prior_map.p to sweep"),
+        ("sweep: {moving_threats: [[{walk: 0.5, h: often}]]}", "threats"),
+        ("sweep: {moving_threats: [[{walk: 0.5, h: threats, count: 2}]]}", "count"),
+        ("sweep: {latent_hazard: [{kind: consumed, learn: often}]}", "learn` is 'often'"),
+        (
+            "base: {phases: [{from: 0, threats: []}]}\nsweep: {latent_hazard: [{kind: consumed}]}",
+            "none beside latent_hazard",
+        ),
+        ("base: {input: true.npz}\nsweep: {true_map: [none.npz]}", "none.npz"),
     ],
 )
 def test_what_is_wrong_is_said_before_the_first_rollout(text: str, words: str, tmp_path: Path) -> None:

@@ -95,8 +95,8 @@ def _counts(left: Tally, right: Tally) -> Iterator[tuple[np.ndarray, np.ndarray]
 
 def test_settings_of_a_team_share_its_areas_and_no_result_depends_on_that() -> None:
     asked = [
-        Choices(), Choices(policy="per_cell"), Choices(policy="per_cell", reserve=0.25, worth=9.0), Choices(range=6),
-        Choices(max_steps=12), Choices(density=1.5), Choices(risk="log"), Choices(levels=2),
+        Choices(), Choices(policy="per_cell"), Choices(policy="per_cell", risk_cap=0.25, robot_value=9.0),
+        Choices(range=6), Choices(max_steps=12), Choices(density=1.5), Choices(risk="log"), Choices(levels=2),
     ]  # fmt: skip
     cases = [generated_case("scattered", 0.3, 4, seed, (8, 11), choices=one) for seed in range(2) for one in asked]
     before = tasks._allocated.cache_info().misses

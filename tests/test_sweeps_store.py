@@ -358,7 +358,7 @@ SAME = SWEEP % ("", "mrac, per_cell")
 RENEWED = {
     "home": SWEEP % (", return_to: home", "mrac"),
     "phases": SWEEP % (", phases: [{from: 3, threats: []}]", "mrac"),
-    "walkers": SWEEP % (", movers: [{walk: 0.5, h: threats}]", "mrac"),
+    "walkers": SWEEP % (", moving_threats: [{walk: 0.5, h: threats}]", "mrac"),
 }
 
 
@@ -375,7 +375,7 @@ def test_a_store_of_release_0_3_goes_on_where_its_rules_are_todays(tmp_path: Pat
         assert (again.finished.rollouts, again.finished.reused, again.finished.earlier) == (0, 128, 0)
         assert len(store) == 5 and "rules" not in " ".join(notes_of(again))
         # where `plan_on` is given, or nothing changes that robots are told of, the rules are those of then
-        moving = "movers: [{walk: 0.5, h: threats}], plan_on: own"
+        moving = "moving_threats: [{walk: 0.5, h: threats}], plan_on: own"
         for more in ("phases: [{from: 3, threats: []}], plan_on: first", moving):
             made = swept(tmp_path, SWEEP % (f", {more}", "mrac"), store)
             assert made.finished.earlier == 0 and "rules" not in made.rows[0].labels

@@ -47,8 +47,8 @@ from planner.world.world import World, load_world_file
 KINDS: list[dict[str, Any]] = [
     {},
     {"policy": "per_cell"},
-    {"policy": "per_cell", "reserve": 0.5},
-    {"policy": "per_cell", "worth": 6.0},
+    {"policy": "per_cell", "risk_cap": 0.5},
+    {"policy": "per_cell", "robot_value": 6.0},
     {"range": 25},
     {"policy": "per_cell", "range": 30},
     {"transit": "area"},
@@ -244,7 +244,7 @@ def scenario(folder: Path, more: str) -> World:
 def test_a_scenario_and_its_world_file(tmp_path: Path) -> None:
     world = scenario(
         tmp_path,
-        "movers:\n- {walk: 0.5, h: 0.25, count: 3}\n- {walk: 0, start: [1, 1], h: 1}\n"
+        "moving_threats:\n- {walk: 0.5, h: 0.25, count: 3}\n- {walk: 0, start: [1, 1], h: 1}\n"
         "- {patrol: [[0, 0], [0, 1], [1, 1], [1, 0]], start: [1, 1], h: 0.5}\n- {patrol: [[1, 1], [1, 2]], h: 0.5}\n",
     )
     assert world.movers is not None
@@ -257,12 +257,12 @@ def test_a_scenario_and_its_world_file(tmp_path: Path) -> None:
     assert again.movers is not None
     assert again.movers.members == expected
     assert again.luck_sha256 == world.luck_sha256 == load_input(tmp_path / "w.npz").luck_sha256
-    both = "movers: [{walk: 0.5, h: 0.25}, {patrol: [[0, 0], [0, 1]], h: 0.5}]\nplan_on: "
+    both = "moving_threats: [{walk: 0.5, h: 0.25}, {patrol: [[0, 0], [0, 1]], h: 0.5}]\nplan_on: "
     assert not np.nan_to_num(scenario(tmp_path, both + "own").threat).any()
     np.testing.assert_allclose(np.nan_to_num(scenario(tmp_path, both + "patrols").threat[0]), [0.25, 0.25, 0])
 
 
-BOTH = "movers: [{walk: 0.5, h: 0.25}, {patrol: [[0, 0], [0, 1]], h: 0.5}]\n"
+BOTH = "moving_threats: [{walk: 0.5, h: 0.25}, {patrol: [[0, 0], [0, 1]], h: 0.5}]\n"
 
 
 def test_robots_plan_on_those_that_have_a_route_unless_something_else_is_said(tmp_path: Path) -> None:
@@ -277,11 +277,11 @@ def test_robots_plan_on_those_that_have_a_route_unless_something_else_is_said(tm
     lone = World.create([[0.0, np.nan, 0.0]])
     sure = with_movers(lone, [Mover(1.0, 0.0, 2)])  # `joined` refuses it
     assert as_before(sure) is sure
-    (note,) = scenario(tmp_path, "movers: [{patrol: [[0, 0], [0, 1]], h: 0.5}]\n").notes
+    (note,) = scenario(tmp_path, "moving_threats: [{patrol: [[0, 0], [0, 1]], h: 0.5}]\n").notes
     assert world.movers is not None
     plain = replace(world, threat=world.met, doubt=None, notes=())
     assert with_movers(plain, world.movers.members).sha256 == world.sha256
-    walkers = scenario(tmp_path, "movers: [{walk: 0.5, h: 0.25}]\n")
+    walkers = scenario(tmp_path, "moving_threats: [{walk: 0.5, h: 0.25}]\n")
     np.testing.assert_array_equal(walkers.threat, walkers.met)
 
 
@@ -313,23 +313,32 @@ def test_a_plan_of_an_earlier_release_keeps_its_reading(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ("movers: 3\n", r"`movers` is 3; expected a list of movers"),
-        ("movers: [{h: 0.5}]\n", r"`movers\[0\]` is .*either walk or patrol"),
-        ("movers: [{walk: 0.5}]\n", r"`movers\[0\]\.h` is missing"),
-        ("movers: [{walk: 1.5, h: 0.5}]\n", r"`movers\[0\]\.walk` is 1\.5; expected a chance to stay"),
-        ("movers: [{walk: 0.5, h: 2}]\n", r"`movers\[0\]\.h` is 2"),
-        ("movers: [{walk: 0.5, h: 0.1, start: [9, 0]}]\n", r"`movers\[0\]\.start` is \[9, 0\]; expected a cell"),
-        ("movers: [{walk: 0.5, h: 0.1, start: [0, 2]}]\n", r"starts at \[0, 2\], which is no free cell"),
-        ("movers: [{patrol: [[0, 0], [1, 1]], h: 0.1}]\n", r"its route goes from \[0, 0\] to \[1, 1\]"),
+        ("moving_threats: 3\n", r"`moving_threats` is 3; expected a list of movers"),
+        ("moving_threats: [{h: 0.5}]\n", r"`moving_threats\[0\]` is .*either walk or patrol"),
+        ("moving_threats: [{walk: 0.5}]\n", r"`moving_threats\[0\]\.h` is missing"),
+        ("moving_threats: [{walk: 1.5, h: 0.5}]\n", r"`moving_threats\[0\]\.walk` is 1\.5; expected a chance to stay"),
+        ("moving_threats: [{walk: 0.5, h: 2}]\n", r"`moving_threats\[0\]\.h` is 2"),
         (
-            "movers: [{walk: 0, h: 0}, {patrol: [[0, 0], [0, 1], [1, 1]], h: 0.1}]\n",
-            r"`movers\[1\]`: its route goes from \[1, 1\] to \[0, 0\]",
+            "moving_threats: [{walk: 0.5, h: 0.1, start: [9, 0]}]\n",
+            r"`moving_threats\[0\]\.start` is \[9, 0\]; expected a cell",
         ),
-        ("movers: [{patrol: [[0, 0]], h: 0.1}]\n", r"two cells \[row, col\] or more"),
-        ("movers: [{patrol: [[0, 0], [0, 1]], start: [1, 1], h: 0.1}]\n", r"starts at \[1, 1\], off its route"),
-        ("movers: [{walk: 0.5, h: 0.5}]\nhazard: {kind: consumed, q: 0.1}\n", r"`movers` is .*none beside hazard"),
-        ("plan_on: own\n", r"`plan_on` is 'own'; expected none without movers"),
-        ("movers: [{walk: 0.5, h: 0.5}]\nplan_on: last\n", r"`plan_on` is 'last'; expected patrols or joined or own"),
+        ("moving_threats: [{walk: 0.5, h: 0.1, start: [0, 2]}]\n", r"starts at \[0, 2\], which is no free cell"),
+        ("moving_threats: [{patrol: [[0, 0], [1, 1]], h: 0.1}]\n", r"its route goes from \[0, 0\] to \[1, 1\]"),
+        (
+            "moving_threats: [{walk: 0, h: 0}, {patrol: [[0, 0], [0, 1], [1, 1]], h: 0.1}]\n",
+            r"`moving_threats\[1\]`: its route goes from \[1, 1\] to \[0, 0\]",
+        ),
+        ("moving_threats: [{patrol: [[0, 0]], h: 0.1}]\n", r"two cells \[row, col\] or more"),
+        ("moving_threats: [{patrol: [[0, 0], [0, 1]], start: [1, 1], h: 0.1}]\n", r"starts at \[1, 1\], off its route"),
+        (
+            "moving_threats: [{walk: 0.5, h: 0.5}]\nlatent_hazard: {kind: consumed, q: 0.1}\n",
+            r"`moving_threats` is .*none beside latent_hazard",
+        ),
+        ("plan_on: own\n", r"`plan_on` is 'own'; expected none without moving_threats"),
+        (
+            "moving_threats: [{walk: 0.5, h: 0.5}]\nplan_on: last\n",
+            r"`plan_on` is 'last'; expected patrols or joined or own",
+        ),
     ],
 )
 def test_a_wrong_mover_is_one_line(tmp_path: Path, more: str, said: str) -> None:
@@ -365,8 +374,8 @@ def test_loops_and_engines_that_have_no_movers_say_so() -> None:
 
 N = np.nan
 POLICIES = (
-    {}, {"policy": "per_cell"}, {"policy": "per_cell", "reserve": 0.5}, {"policy": "frontier"},
-    {"policy": "per_cell", "worth": 3.0}, {"policy": "watchful"}, {"wear": 3.0}, {"range": 12},
+    {}, {"policy": "per_cell"}, {"policy": "per_cell", "risk_cap": 0.5}, {"policy": "frontier"},
+    {"policy": "per_cell", "robot_value": 3.0}, {"policy": "watchful"}, {"weibull_shape": 3.0}, {"range": 12},
 )  # fmt: skip
 
 
@@ -399,7 +408,7 @@ def test_a_team_waits_for_a_danger_that_is_announced_to_end(policy: str) -> None
     world = World.create([[0, 0.5, 0, 0]])
     for f in (1, 2, 3, 4, 5, 9, 125, 128, 500):
         timed = with_phases(world, [(f, np.zeros((1, 4)))])
-        plan = make_plan(timed, [[0, 0]], Settings(policy=policy, worth=4.0))
+        plan = make_plan(timed, [[0, 0]], Settings(policy=policy, robot_value=4.0))
         done = f + 3 <= 128  # it is allocated the area in step f, and moves in the three steps after it
         assert (plan.outcome, plan.time) == (("complete", f + 3) if done else ("step_limit", 128)), f
         loop = compile_closed_loop(plan, timed)
@@ -418,7 +427,7 @@ def test_a_team_ends_once_nothing_that_is_announced_changes_the_map() -> None:
     def ends(phases: list[tuple[int, list[float]]], **more: Any) -> tuple[str, int]:
         maps = [(at, np.array([p])) for at, p in phases]
         plan = make_plan(
-            with_phases(World.create(base), maps), [[0, 0]], Settings(policy="per_cell", worth=4.0, **more)
+            with_phases(World.create(base), maps), [[0, 0]], Settings(policy="per_cell", robot_value=4.0, **more)
         )
         return plan.outcome, plan.time
 
@@ -441,7 +450,7 @@ def test_robots_that_come_home_wait_for_it_too() -> None:
         (5, None, ("complete", 11)), (4, 10, ("complete", 10)), (4, 9, ("deadline", 9)), (20, 10, ("deadline", 10)),
     ):  # fmt: skip
         timed = with_phases(world, [(f, np.zeros((1, 4)))])
-        settings = Settings(policy="per_cell", worth=4.0, return_to="home", deadline=deadline)
+        settings = Settings(policy="per_cell", robot_value=4.0, return_to="home", deadline=deadline)
         plan = make_plan(timed, [[0, 0]], settings)
         assert (plan.outcome, plan.time) == end
         loop = compile_closed_loop(plan, timed)
@@ -504,7 +513,7 @@ def test_given_paths_are_known_exactly(number: int) -> None:
 def test_who_wears_bears_what_each_phase_brings() -> None:
     """One robot of wear 3 on a path: S = exp(-(E / s)**3) of the exposure E of its visits, each in its phase."""
     world, _ = tiny(2, "now")
-    exact = open_loop_exact(make_plan(world, [[0, 0]], Settings(wear=3.0)), world)
+    exact = open_loop_exact(make_plan(world, [[0, 0]], Settings(weibull_shape=3.0)), world)
     borne = -np.log1p(-np.float64(np.float32(0.5)))  # it enters [0, 4] at step 4, safe in both; nothing before
     assert exact.survival[0] == 1.0 and borne > 0
     back = Plan(world.shape, world.sha256, None, (RobotPlan(np.array([0, 1, 2, 3, 2, 1])),), bears=Bearing(3.0))
@@ -594,8 +603,8 @@ def test_a_scenario_and_its_world_file_phases(tmp_path: Path) -> None:
         ("{raster: b.npy}", "{raster: c.npy}", r"`phases\[0\]\.threats\[0\]\.raster`"),
         ("phases:\n- {from: 4, threats: [{raster: b.npy}]}\n", "phases: []\n", r"`phases` is \[\]; expected a list of"),
         ("map: m.npy", "map: m.npy\nplan_on: last", r"`plan_on` is 'last'; expected now or first or worst"),
-        ("map: m.npy", "map: m.npy\nmovers: [{walk: 1, h: 0.1}]", r"`phases` is .*none beside movers"),
-        ("map: m.npy", "map: m.npy\nprior: {p: 0.1}", r"here: threats that change at step 4"),
+        ("map: m.npy", "map: m.npy\nmoving_threats: [{walk: 1, h: 0.1}]", r"`phases` is .*none beside moving_threats"),
+        ("map: m.npy", "map: m.npy\nprior_map: {p: 0.1}", r"here: threats that change at step 4"),
     ],
 )
 def test_a_wrong_phase_is_one_line(tmp_path: Path, old: str, new: str, said: str) -> None:

@@ -160,50 +160,50 @@ def scenario(folder: Path, more: str, threats: str = "[{raster: p.csv}]") -> Wor
 
 
 def test_a_scenario_names_hazards_and_maps(tmp_path: Path) -> None:
-    mines = scenario(tmp_path, "hazard: {kind: consumed, h: 0.5}")
+    mines = scenario(tmp_path, "latent_hazard: {kind: consumed, h: 0.5}")
     assert mines.luck_sha256 == with_hazard(TINY, "consumed", TINY.threat, 0.5).luck_sha256
-    weak = scenario(tmp_path, "hazard: {kind: persistent, q: 0.25, h: threats}")
+    weak = scenario(tmp_path, "latent_hazard: {kind: persistent, q: 0.25, h: threats}")
     assert weak.luck_sha256 == with_hazard(TINY, "persistent", 0.25, TINY.threat).luck_sha256
-    raster = scenario(tmp_path, "hazard: {kind: persistent, q: p.csv, h: other.csv}", "[]")
+    raster = scenario(tmp_path, "latent_hazard: {kind: persistent, q: p.csv, h: other.csv}", "[]")
     assert raster.luck_sha256 == with_hazard(TINY, "persistent", TINY.threat, 2 * TINY.threat).luck_sha256
-    assert scenario(tmp_path, "hazard: {kind: independent}").luck_sha256 == TINY.sha256
-    maps = scenario(tmp_path, "uncertain: {maps: [p.csv, other.csv], plan_on: 0.9}", "[]")
+    assert scenario(tmp_path, "latent_hazard: {kind: independent}").luck_sha256 == TINY.sha256
+    maps = scenario(tmp_path, "map_uncertainty: {maps: [p.csv, other.csv], plan_on: 0.9}", "[]")
     assert maps.luck_sha256 == with_maps(TINY, [TINY.threat, 2 * TINY.threat], 0.9).luck_sha256
     np.testing.assert_array_equal(maps.threat, 2 * TINY.threat)
-    doses = scenario(tmp_path, "uncertain: {maps: [p.csv, other.csv], rule: {kind: linear, scale: 0.5}}", "[]")
+    doses = scenario(tmp_path, "map_uncertainty: {maps: [p.csv, other.csv], rule: {kind: linear, scale: 0.5}}", "[]")
     np.testing.assert_allclose(doses.threat, 0.75 * TINY.threat, rtol=1e-6)
-    spread = scenario(tmp_path, "uncertain: {spread: {kind: beta, sample_size: 9, by: level}, plan_on: mean}")
+    spread = scenario(tmp_path, "map_uncertainty: {spread: {kind: beta, sample_size: 9, by: level}, plan_on: mean}")
     assert spread.luck_sha256 == with_spread(TINY, "beta", 9.0, "level").luck_sha256
 
 
 BAD = {
-    "hazard: {kind: odd}": "`hazard.kind` is 'odd'",
-    "hazard: {q: 0.1}": "`hazard.kind` is missing",
-    "hazard: {kind: persistent, h: 1.5}": "`hazard.h` is 1.5",
-    "hazard: {kind: persistent, h: -0.5}": "`hazard.h` is -0.5",
-    "hazard: {kind: persistent, h: .nan}": "`hazard.h` is nan",
-    "hazard: {kind: persistent, q: 0.5, h: 0.5}": "`hazard.q` is 0.5",
-    "hazard: {kind: persistent, h: threats}": "`hazard.h` is 'threats'",
-    "hazard: {kind: persistent, q: wide.csv, h: threats}": "`hazard.q` is 'wide.csv'",
-    "hazard: {kind: persistent, h: nan.csv}": "`hazard.h` names nan.csv, which is nan (no data)",
-    "hazard: {kind: persistent, h: two.csv}": "`hazard`: hazard h is 2 at [0, 0]",
-    "hazard: {kind: persistent, h: none.csv}": "`hazard.h`: ",
-    "hazard: {kind: independent, h: 0.5}": "`hazard.h` is 0.5",
-    "hazard: 3": "`hazard` is 3",
-    "hazard: {kind: consumed}\nuncertain: {maps: [p.csv]}": "`uncertain` is",
-    "uncertain: {}": "`uncertain` is {}",
-    "uncertain: {maps: []}": "`uncertain.maps` is []",
-    "uncertain: {maps: [p.csv], spread: {kind: beta, sample_size: 3}}": "`uncertain` is",
-    "uncertain: {maps: [wide.csv]}": "`uncertain.maps[0]` is 'wide.csv'",
-    "uncertain: {maps: [p.csv, nan.csv]}": "`uncertain.maps[1]` names nan.csv, which is nan",
-    "uncertain: {maps: [two.csv]}": "`uncertain.maps[0]` gives p = 2",
-    "uncertain: {maps: [p.csv], plan_on: worst}": "`uncertain.plan_on` is 'worst'",
-    "uncertain: {maps: [p.csv], plan_on: 1}": "`uncertain.plan_on` is 1",
-    "uncertain: {spread: {kind: normal, sigma: 1}}": "`uncertain.spread.kind` is 'normal'",
-    "uncertain: {spread: {kind: lognormal}}": "`uncertain.spread.sigma` is missing",
-    "uncertain: {spread: {kind: lognormal, sigma: 0}}": "`uncertain.spread.sigma` is 0",
-    "uncertain: {spread: {kind: beta, sigma: 1}}": "unknown key `uncertain.spread.sigma`",
-    "uncertain: {spread: {kind: beta, sample_size: 2, by: cell}}": "`uncertain.spread.by` is 'cell'",
+    "latent_hazard: {kind: odd}": "`latent_hazard.kind` is 'odd'",
+    "latent_hazard: {q: 0.1}": "`latent_hazard.kind` is missing",
+    "latent_hazard: {kind: persistent, h: 1.5}": "`latent_hazard.h` is 1.5",
+    "latent_hazard: {kind: persistent, h: -0.5}": "`latent_hazard.h` is -0.5",
+    "latent_hazard: {kind: persistent, h: .nan}": "`latent_hazard.h` is nan",
+    "latent_hazard: {kind: persistent, q: 0.5, h: 0.5}": "`latent_hazard.q` is 0.5",
+    "latent_hazard: {kind: persistent, h: threats}": "`latent_hazard.h` is 'threats'",
+    "latent_hazard: {kind: persistent, q: wide.csv, h: threats}": "`latent_hazard.q` is 'wide.csv'",
+    "latent_hazard: {kind: persistent, h: nan.csv}": "`latent_hazard.h` names nan.csv, which is nan (no data)",
+    "latent_hazard: {kind: persistent, h: two.csv}": "`latent_hazard`: hazard h is 2 at [0, 0]",
+    "latent_hazard: {kind: persistent, h: none.csv}": "`latent_hazard.h`: ",
+    "latent_hazard: {kind: independent, h: 0.5}": "`latent_hazard.h` is 0.5",
+    "latent_hazard: 3": "`latent_hazard` is 3",
+    "latent_hazard: {kind: consumed}\nmap_uncertainty: {maps: [p.csv]}": "`map_uncertainty` is",
+    "map_uncertainty: {}": "`map_uncertainty` is {}",
+    "map_uncertainty: {maps: []}": "`map_uncertainty.maps` is []",
+    "map_uncertainty: {maps: [p.csv], spread: {kind: beta, sample_size: 3}}": "`map_uncertainty` is",
+    "map_uncertainty: {maps: [wide.csv]}": "`map_uncertainty.maps[0]` is 'wide.csv'",
+    "map_uncertainty: {maps: [p.csv, nan.csv]}": "`map_uncertainty.maps[1]` names nan.csv, which is nan",
+    "map_uncertainty: {maps: [two.csv]}": "`map_uncertainty.maps[0]` gives p = 2",
+    "map_uncertainty: {maps: [p.csv], plan_on: worst}": "`map_uncertainty.plan_on` is 'worst'",
+    "map_uncertainty: {maps: [p.csv], plan_on: 1}": "`map_uncertainty.plan_on` is 1",
+    "map_uncertainty: {spread: {kind: normal, sigma: 1}}": "`map_uncertainty.spread.kind` is 'normal'",
+    "map_uncertainty: {spread: {kind: lognormal}}": "`map_uncertainty.spread.sigma` is missing",
+    "map_uncertainty: {spread: {kind: lognormal, sigma: 0}}": "`map_uncertainty.spread.sigma` is 0",
+    "map_uncertainty: {spread: {kind: beta, sigma: 1}}": "unknown key `map_uncertainty.spread.sigma`",
+    "map_uncertainty: {spread: {kind: beta, sample_size: 2, by: cell}}": "`map_uncertainty.spread.by` is 'cell'",
 }
 
 

@@ -1,4 +1,4 @@
-"""What cells are worth: estimates, scenario keys, policies."""
+"""What cells are robot_value: estimates, scenario keys, policies."""
 
 from __future__ import annotations
 
@@ -175,8 +175,8 @@ def test_the_remainder_holds_what_the_cap_leaves_out() -> None:
     zeros = {name: np.zeros(cells, np.int64) for name in Tally.axes()}
     counts = zeros | {"visits": passes.sum(axis=0) + 7, "stops": np.full(cells, 7), "passes": at_least.ravel()}
     tally = Tally("t", (1, cells), ((0, 500),), **counts)
-    worth = Worth(np.ones(cells), detect)
-    found, rest = found_chances(tally, worth)
+    robot_value = Worth(np.ones(cells), detect)
+    found, rest = found_chances(tally, robot_value)
     truth = (1 - (1 - detect) ** passes).mean(axis=0)
     assert (truth <= found + 1e-12).all() and (found.sum() - rest) <= truth.sum()
     assert (found - truth).sum() < 0.5 * rest  # nearer than without what is beyond the cap
@@ -252,7 +252,7 @@ def test_size_and_front_tell_the_value_that_evaluate_tells(loop: str) -> None:
     curves = [[{**one, "value": 0} for one in size.to_json()["curve"]] for size in sizes.values()]
     assert curves[0] == curves[1] and any(point.rollouts for point in sizes[False].points)
     if loop == "closed":
-        fronts = [mrac.front(each, **how, worths=(5.0,), reserves=()) for each in (world, plain)]
+        fronts = [mrac.front(each, **how, robot_values=(5.0,), risk_caps=()) for each in (world, plain)]
         whole = next(point for point in fronts[0].points if point.setting == ("mrac", None, None, None))
         assert whole.value is not None and whole.value.mean == pytest.approx(told(2), abs=1e-9)
         assert all("value" in one for one in fronts[0].to_json()["points"]) and fronts[0].notes
@@ -534,16 +534,16 @@ def test_worth_refuses_by_value() -> None:
     """n = 4 and p = 0.1: two cells next to the robot cost C = 8, theta = 40 / V: refused iff 8,000 > 40 U / V."""
     row = [[0, 0, 0.1, 0.1]]
     cases = ((5.0, 1.0, False), (9.9, 1.0, False), (10.1, 1.0, True), (4.9, 0.5, False), (5.1, 0.5, True))
-    for worth, share, unsafe in cases:  # U = 2000 times the share
+    for robot_value, share, unsafe in cases:  # U = 2000 times the share
         world = World.create(row, value=[[7, 1, 7 * share, 7 * share]])
-        plan = make_plan(world, [[0, 0]], Settings(policy="per_cell", worth=worth))
-        assert (plan.outcome == "not_worth_the_risk") is unsafe, (worth, share)
+        plan = make_plan(world, [[0, 0]], Settings(policy="per_cell", robot_value=robot_value))
+        assert (plan.outcome == "not_worth_the_risk") is unsafe, (robot_value, share)
     row = [[0.1, 0.1, 0, 0, 0.1, 0.1]]
     cheap = World.create(row, value=[[1, 1, 1, 1, 0, 0]])
-    plan = make_plan(cheap, [[0, 2]], Settings(policy="per_cell", worth=2.0))
+    plan = make_plan(cheap, [[0, 2]], Settings(policy="per_cell", robot_value=2.0))
     assert plan.outcome == "not_worth_the_risk"
     assert set(plan.robots[0].path.tolist()) == {0, 1, 2, 3}  # nothing is risked for cells worth nothing
-    assert make_plan(World.create(row), [[0, 2]], Settings(policy="per_cell", worth=2.0)).outcome == "complete"
+    assert make_plan(World.create(row), [[0, 2]], Settings(policy="per_cell", robot_value=2.0)).outcome == "complete"
 
 
 def test_whole_numbers_of_values() -> None:

@@ -503,8 +503,11 @@ def test_arrays_that_are_no_worlds(folder: Path, array: object, names: str) -> N
     ("keys", "names"),
     [
         ({"cellsize": 1}, "unknown key `cellsize`"),
-        ({"movers": [{"walk": 0.5, "h": "none"}]}, "`movers[0].h` is 'none'; expected a chance, 0 to 1, or threats"),
-        ({"prior": {"p": 0.1}, "sense": 1, "phases": [{"from": 2, "threats": []}]}, "leave `phases` out"),
+        (
+            {"moving_threats": [{"walk": 0.5, "h": "none"}]},
+            "`moving_threats[0].h` is 'none'; expected a chance, 0 to 1, or threats",
+        ),
+        ({"prior_map": {"p": 0.1}, "sensor_range": 1, "phases": [{"from": 2, "threats": []}]}, "leave out `phases`"),
         ({"cell_sise": 1}, "did you mean 'cell_size'"),
         ({"cell_size": 0}, "`cell_size` is 0"),
         ({"cell_size": -1}, "`cell_size` is -1"),
@@ -728,35 +731,41 @@ def test_what_robots_are_not_told(folder: Path) -> None:
     (folder / "told.csv").write_text("0,0.1\n0.2,0\n")
     (folder / "true.csv").write_text("0,-1\n0.3,0\n")
     told, true = np.float32([[0, 0.1], [0.2, 0]]), np.float32([[0, np.nan], [0.3, 0]])
-    sensed = {"sense": {"range": 2.5, "sight": True}}
+    sensed = {"sensor_range": {"range": 2.5, "sight": True}}
 
     def read(**keys: object) -> World:
         return load_input(write(folder, **({"map": "told.csv"} | keys)))
 
-    world = read(truth="true.csv", **sensed)
+    world = read(true_map="true.csv", **sensed)
     assert np.array_equal(world.threat, told) and np.array_equal(world.met, true, equal_nan=True)
     assert world.knowledge is not None and (world.knowledge.sense.range, world.knowledge.sense.sight) == (2.5, True)
-    world = read(map="true.csv", prior={"p": 0.04}, sense=1)
+    world = read(map="true.csv", prior_map={"p": 0.04}, sensor_range=1)
     assert (world.threat == np.float32(0.04)).all() and np.array_equal(world.met, true, equal_nan=True)
-    world = read(map="true.csv", prior={"p": 0.04, "obstacles": "known"})
+    world = read(map="true.csv", prior_map={"p": 0.04, "obstacles": "known"})
     assert np.array_equal(np.isnan(world.threat), np.isnan(true)) and world.knowledge.sense.range == 0
-    world = read(prior={"p": 0.04}, truth="true.csv", sense=math.inf)
+    world = read(prior_map={"p": 0.04}, true_map="true.csv", sensor_range=math.inf)
     assert (world.threat == np.float32(0.04)).all() and np.array_equal(world.met, true, equal_nan=True)
     spread = {"spread": {"kind": "beta", "sample_size": 9}}
-    assert read(uncertain=spread, sense=1, prior={"p": 0.04}).doubt is not None
+    assert read(map_uncertainty=spread, sensor_range=1, prior_map={"p": 0.04}).doubt is not None
     for wrong, message in (
-        ({"truth": "true.csv"}, r"`truth`: robots that see nothing are wrong about an obstacle at \[0, 1\]"),
-        ({"prior": {"p": 1}}, r"`prior\.p` is 1; expected a probability"),
-        ({"prior": {"p": 0.1, "obstacles": "no"}}, r"`prior\.obstacles` is 'no'; expected unknown or known"),
-        ({"sense": 1}, r"`sense`: robots are told the map"),
-        ({"prior": {"p": 0.1}, "sense": 0.5}, r"`sense`: sense is 0\.5; expected 0, or a number of cells from 1 on"),
-        ({"prior": {"p": 0.1}, "sense": {"sight": True}}, r"key `sense\.range` is missing"),
-        ({"prior": {"p": 0.1}, "sense": {"range": 1, "sight": 1}}, "sight: true or false"),
-        ({"truth": "s.yaml", "sense": 1}, "an input without truth, prior, sense"),
-        ({"truth": "a.map", "sense": 1}, r"the truth has shape \[4, 7\]"),
-        ({"prior": {"p": 0.1}, "hazard": {"kind": "persistent", "q": "threats"}}, "leave `hazard` out"),
-        ({"truth": "true.csv", "sense": 1, "uncertain": spread}, "a truth beside a map that is in doubt"),
-        ({"sense": 1, "uncertain": {"spread": spread["spread"] | {"by": "level"}}}, "`by: common`"),
+        ({"true_map": "true.csv"}, r"`true_map`: robots that see nothing are wrong about an obstacle at \[0, 1\]"),
+        ({"prior_map": {"p": 1}}, r"`prior_map\.p` is 1; expected a probability"),
+        ({"prior_map": {"p": 0.1, "obstacles": "no"}}, r"`prior_map\.obstacles` is 'no'; expected unknown or known"),
+        ({"sensor_range": 1}, r"`sensor_range`: robots are told the map"),
+        (
+            {"prior_map": {"p": 0.1}, "sensor_range": 0.5},
+            r"`sensor_range`: sensor_range is 0\.5; expected 0, or a number of cells from 1 on",
+        ),
+        ({"prior_map": {"p": 0.1}, "sensor_range": {"sight": True}}, r"key `sensor_range\.range` is missing"),
+        ({"prior_map": {"p": 0.1}, "sensor_range": {"range": 1, "sight": 1}}, "sight: true or false"),
+        ({"true_map": "s.yaml", "sensor_range": 1}, "an input without true_map, prior_map, sensor_range"),
+        ({"true_map": "a.map", "sensor_range": 1}, r"the truth has shape \[4, 7\]"),
+        (
+            {"prior_map": {"p": 0.1}, "latent_hazard": {"kind": "persistent", "q": "threats"}},
+            "leave `latent_hazard` out",
+        ),
+        ({"true_map": "true.csv", "sensor_range": 1, "map_uncertainty": spread}, "a truth beside a map that is in doubt"),
+        ({"sensor_range": 1, "map_uncertainty": {"spread": spread["spread"] | {"by": "level"}}}, "`by: common`"),
     ):
         with pytest.raises(InputError, match=message):
             read(**wrong)

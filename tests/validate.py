@@ -387,7 +387,7 @@ def _end_rules(facts: Facts) -> Iterator[Violation]:
     able = [int(facts.region[r.path[0]]) for i, r in enumerate(plan.robots) if i not in facts.ended]
     missed = np.flatnonzero(facts.accessible & (facts.first == NEVER))
     reachable = missed[np.isin(facts.region[missed], able)]
-    if plan.outcome == "not_worth_the_risk" and (plan.settings is None or plan.settings.worth is None):
+    if plan.outcome == "not_worth_the_risk" and (plan.settings is None or plan.settings.robot_value is None):
         yield facts.broken("called-off", step=plan.time)
     left_out = missed if plan.outcome == "complete" else reachable
     if len(left_out) and plan.outcome in ("complete", "no_progress"):

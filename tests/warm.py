@@ -23,4 +23,4 @@ def run_missions(rule: str, *settings: Any) -> None:
 
 if __name__ == "__main__":
     # A plain mission, one that searches for distances, and one with all features.
-    run_missions(sys.argv[1], {}, {"transit": "area"}, {"wear": 2.0})
+    run_missions(sys.argv[1], {}, {"transit": "area"}, {"weibull_shape": 2.0})

@@ -169,7 +169,7 @@ def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None) -> tu
     elif len(robots) < len(plan.robots):
         without = len(plan.robots) - len(robots)
         out.append(f"eq. (5) is undefined for {without} of {len(plan.robots)} robots: a dangerous start, or no area")
-    with_worth = plan.settings is not None and plan.settings.worth is not None
+    with_worth = plan.settings is not None and plan.settings.robot_value is not None
     if with_worth or ranged:
         why = "the rest may not be worth the risk (worth)" if with_worth else "robots have a range"
         out.append(f"Theorems 1, 2 and 4 are left out: they are not about runs in which {why}")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -66,6 +67,7 @@ from analysis.cli.stored import inspect, record, recover, replay, reproduce, res
 from analysis.utils.notes import elsewhere, say
 from planner.arguments import COMMAND_LINE
 from planner.errors import PER_VISIT, InputError, UsageError
+from planner.renamed import RENAMED, RenamedWarning, warn_renamed
 from planner.settings import BEST
 
 if TYPE_CHECKING:
@@ -97,7 +99,7 @@ def evaluate(
     plan: Annotated[Path | None, Parameter(group=PLANNING, converter=path)] = None,
     state: StateFile = None,
     threat_scale: Annotated[Text, Parameter(group=ROLLOUTS)] = None,
-    sense: Annotated[Text, Parameter(group=ROLLOUTS)] = None,
+    sensor_range: Annotated[Text, Parameter(group=ROLLOUTS)] = None,
     metrics: Annotated[Metrics | None, Parameter(group=OUTPUT)] = None,
     bound: Bound = False,
     theory: Annotated[bool, Parameter(group=OUTPUT, negative="")] = False,
@@ -110,7 +112,7 @@ def evaluate(
     Args:
         plan: Evaluate this plan file instead of planning.
         threat_scale: Also if all threats are so many times the map's, the plan as it is: "0.5,1,2".
-        sense: Also if robots that are not told the map see so many cells far, on common random numbers: "0,1,2,inf".
+        sensor_range: Also with sensors of these ranges in cells, common random numbers: "0,1,2,inf".
         metrics: What is found and left of what cells are worth, in the words of this field.
         bound: Also compute the upper bound where that is expensive, above 1,000 dangerous cells; as sharp as it gets
             above 500 accessible ones.
@@ -127,9 +129,9 @@ def evaluate(
     from analysis.utils.progress import show_progress
 
     team, planning, what = team or Team(), planning or Sought(), what or Timed()
-    scales, ranges = parse_scales(threat_scale), parse_ranges(sense)
+    scales, ranges = parse_scales(threat_scale), parse_ranges(sensor_range)
     if plan is None:
-        what.choices(planning.plan_for == "open", None)
+        what.choices(planning.plan_for == "open_loop", None)
     check_folder(out)
     wanted = team.asked(source, planning.choices())
     asked: dict[str, Any] = {"threat_scale": scales} | ({} if metrics is None else {"value": metrics})
@@ -194,7 +196,7 @@ def size(
     goal = make_goal(wanted.target, wanted.confidence, wanted.complete, wanted.meaning, wanted.most)
     check_folder(out)
     task = load_task(wanted.team().asked(source, planning.choices()))
-    choices = what.choices(task.settings.plan_for == "open")
+    choices = what.choices(task.settings.plan_for == "open_loop")
     say(task.notes)
     with show_progress() as progress:
         answer = find_size(task.world, task.settings, goal, choices, progress=progress, doing=progress.doing)
@@ -229,7 +231,7 @@ def front(
     team, what, planning = team or Team(), what or Traded(), planning or OfAnyPolicy()
     goal, settings = make_goal(what.losses, what.target), planning.choices()
     what.choices()
-    ladders = Ladders(parse_numbers("reserves", what.reserves), parse_numbers("worths", what.worths))
+    ladders = Ladders(parse_numbers("risk_caps", what.risk_caps), parse_numbers("robot_values", what.robot_values))
     if plan_out is not None and not goal:
         raise UsageError(f"--plan-out {plan_out} without a pick", fix="add --losses or --target")
     check_files(source, plan_out)
@@ -398,7 +400,7 @@ def compare(
             raise UsageError("B is a plan file, and --b.plan is given", expected="one of them")
         source_b, plan_b = a, Path(b)
     if plan is None:
-        options[2].choices(options[1].plan_for == "open")
+        options[2].choices(options[1].plan_for == "open_loop")
     first, notes = _side("A", a, plan, *options)
     other, more = _side("B", source_b, plan_b, *second.over(*options))
     say(notes if notes == more else [*(f"A: {note}" for note in notes), *(f"B: {note}" for note in more)])
@@ -495,8 +497,35 @@ def _unknown(error: UnknownOptionError) -> str:
     return f"Unknown option: {given}; {fix}"
 
 
+def _new_option(word: str) -> str:
+    """A word of the command line, an option of release 0.3 under today's name, with one line that gives it."""
+    name, *value = word.split("=", 1)
+    start, last = ("--b.", name[4:]) if name.startswith("--b.") else ("--", name[2:])
+    new = RENAMED.get(last.replace("-", "_")) if name.startswith("--") else None
+    if new is None or last in ("truth", "prior", "movers", "hazard", "uncertain"):
+        return word
+    option = start + new.replace("_", "-")
+    warn_renamed(name, option)
+    return "=".join([option, *value])
+
+
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run one command line; returns the exit status."""
+    """Run one command line; returns the exit status. A name of release 0.3 is one line on standard error."""
+    with warnings.catch_warnings():
+        usual = warnings.showwarning
+
+        def show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, RenamedWarning):
+                say([f"note: {message}"])
+            else:
+                usual(message, category, *where, **more)
+
+        warnings.showwarning = show_warning
+        warnings.simplefilter("default", RenamedWarning)
+        return _run(arguments)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     if NO_CACHE_OPTION in words:
         words = [word for word in words if word != NO_CACHE_OPTION]
@@ -508,6 +537,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return BAD_INPUT
     told, named = COMMAND.set(tuple(words)), COMMAND_LINE.set(True)
     try:
+        words = [_new_option(word) for word in words]
         check_streams()
         status: Any = app(words, exit_on_error=False, print_error=False, console=output_console())
         return status if isinstance(status, int) else DONE

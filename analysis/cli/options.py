@@ -332,7 +332,7 @@ class SeeingTeam(Team):
         robots: How many robots (default: as many as the input's starts, else its count, else 1).
     """
 
-    sense: Sense = None
+    sensor_range: Sense = None
 
 
 @Parameter(name="*")
@@ -567,8 +567,8 @@ class Traded(CommonLuck):
 
     losses: Annotated[Number, Parameter(group=GOAL)] = None
     target: Annotated[Number, Parameter(group=GOAL)] = None
-    worths: Annotated[Text, Parameter(group=PLANNING)] = None
-    reserves: Annotated[Text, Parameter(group=PLANNING)] = None
+    robot_values: Annotated[Text, Parameter(group=PLANNING)] = None
+    risk_caps: Annotated[Text, Parameter(group=PLANNING)] = None
     rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
 
 
@@ -653,7 +653,7 @@ class Second(_SecondPlanning):
     Attributes:
         robots: How many robots.
         starts: Where they start, "row,col;row,col;...".
-        sense: How many cells they see, inf: everything.
+        sensor_range: How many cells they see, inf: everything.
         loop: Reallocate and share at run time, or follow the plan until stopped.
         threat_checks: Every visit can stop a robot, or only the first visit of a cell by anybody.
         plan: Plan file of B.
@@ -661,7 +661,7 @@ class Second(_SecondPlanning):
 
     robots: Annotated[Whole, Parameter(group=SECOND)] = None
     starts: Annotated[Text, Parameter(group=SECOND)] = None
-    sense: Annotated[float | None, Parameter(converter=how_far, group=SECOND)] = None
+    sensor_range: Annotated[float | None, Parameter(converter=how_far, group=SECOND)] = None
     loop: Annotated[Loop, Parameter(group=SECOND)] = None
     threat_checks: Annotated[Checks | None, Parameter(group=SECOND)] = None
     plan: Annotated[Path | None, Parameter(group=SECOND, converter=path)] = None

@@ -330,7 +330,7 @@ def record(
     if not may_replace(out, force):
         return DONE
     if plan is None:
-        what.request(foreign=planning.plan_for == "open")
+        what.request(foreign=planning.plan_for == "open_loop")
     world, made, notes = load_or_make_plan(team.asked(source, planning.choices()), plan, state)
     own = plan is None and state is None
     request = replace(what.request(made.is_foreign, world.pace.seconds), made=own, scenario=scenario_text(source))

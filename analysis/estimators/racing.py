@@ -51,8 +51,8 @@ def check_search(world: World, settings: Settings, choices: RolloutChoices, what
     """Raise InputError for what a search cannot go by: a map in doubt, plans for the open loop, too many rollouts."""
     world.check_settled(what)
     settings.check_alike(what)
-    if settings.plan_for != "closed":
-        raise PlanError(f"plan_for is {settings.plan_for} in {what}", expected="closed", fix="leave it out")
+    if settings.plan_for != "closed_loop":
+        raise PlanError(f"plan_for is {settings.plan_for} in {what}", expected="closed_loop", fix="leave it out")
     if choices.rollouts > MOST_ROLLOUTS // 2:
         expected = f"at most {MOST_ROLLOUTS // 2}: as many others check the best"
         raise UsageError(argument("rollouts", choices.rollouts), expected=expected)
@@ -222,7 +222,7 @@ FURTHEST = 5
 
 def can_order(settings: Settings) -> bool:
     """Whether the policy goes by prices, and nothing is refused for its price."""
-    return settings.rule.by_price and settings.worth is None
+    return settings.rule.by_price and settings.robot_value is None
 
 
 def order_areas(
@@ -366,11 +366,11 @@ def contenders(settings: Settings, robots: int) -> list[Settings]:
     """What is raced: the paper's rule, or with limits on the team the plainest first; what is given stays."""
     watchful = replace(settings, policy=WATCHFUL.name)
     most = {max(1, math.ceil(share * robots)): share for share in (*SHARES[::-1], 1 / robots)}
-    reserves = [settings.reserve] if settings.reserve is not None else [None, *(most[m] for m in most if m < robots)]
+    risk_caps = [settings.risk_cap] if settings.risk_cap is not None else [None, *(most[m] for m in most if m < robots)]
     densities = [settings.density, ALONE] if settings.density == Settings.density else [settings.density]
-    limited = settings.reserve is not None or settings.worth is not None
+    limited = settings.risk_cap is not None or settings.robot_value is not None
     return [replace(settings, policy=policy) for policy in (DEFAULT, BASE)[limited:]] + [
-        replace(watchful, reserve=reserve, density=density) for density in densities for reserve in reserves
+        replace(watchful, risk_cap=risk_cap, density=density) for density in densities for risk_cap in risk_caps
     ]
 
 

@@ -403,9 +403,11 @@ def _control_json(evaluation: Evaluation) -> Json | None:
 def _policy_json(plan: Plan) -> Json | None:
     if plan.settings is None:
         return None
-    return {"name": plan.settings.rule.name, "reserve": plan.settings.reserve, "worth": plan.settings.worth} | (
-        {} if plan.settings.range is None else {"range": plan.settings.range}
-    )
+    return {
+        "name": plan.settings.rule.name,
+        "risk_cap": plan.settings.risk_cap,
+        "robot_value": plan.settings.robot_value,
+    } | ({} if plan.settings.range is None else {"range": plan.settings.range})
 
 
 def _bounds_json(evaluation: Evaluation) -> Json:

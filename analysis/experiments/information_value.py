@@ -94,9 +94,9 @@ ONLINE = Question(
     "What is a map worth?",
     {
         TOLD: {},
-        **{_see(cells): {"prior": {"p": P}, "sense": cells} for cells in (5, 3, 2, 1)},
-        SEES: {"prior": {"p": P, "obstacles": "known"}, "sense": 3},
-        BLIND: {"prior": {"p": P, "obstacles": "known"}, "sense": 0},
+        **{_see(cells): {"prior_map": {"p": P}, "sensor_range": cells} for cells in (5, 3, 2, 1)},
+        SEES: {"prior_map": {"p": P, "obstacles": "known"}, "sensor_range": 3},
+        BLIND: {"prior_map": {"p": P, "obstacles": "known"}, "sensor_range": 0},
     },
     ("mrac", "per_cell", "frontier"),
     (*((TOLD, _see(cells)) for cells in (5, 3, 2, 1)), (SEES, BLIND)),
@@ -110,7 +110,7 @@ STAND, LOST, WALK, PLANNED = "stand, told where", "stand, not told where", "walk
 
 
 def _moving(stay: float, plan_on: str = "patrols") -> Json:
-    return {"movers": [{"walk": stay, "h": "threats"}], "plan_on": plan_on}
+    return {"moving_threats": [{"walk": stay, "h": "threats"}], "plan_on": plan_on}
 
 
 MOVING = Question(

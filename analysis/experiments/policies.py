@@ -50,8 +50,8 @@ class Setting:
     kind: Kind
     robots: int
     policy: str = "mrac"
-    reserve: float | None = None
-    worth: float | None = None
+    risk_cap: float | None = None
+    robot_value: float | None = None
     cut: int | None = None
     side: int = 20
 
@@ -59,12 +59,12 @@ class Setting:
     def choices(self) -> Choices:
         """The planner's settings."""
         policy = None if self.policy == "mrac" else self.policy
-        return Choices(policy=policy, reserve=self.reserve, worth=self.worth, max_steps=self.cut)
+        return Choices(policy=policy, risk_cap=self.risk_cap, robot_value=self.robot_value, max_steps=self.cut)
 
     @property
     def name(self) -> str:
         """The policy with its limits, in words."""
-        limits = {"reserve": self.reserve, "worth": self.worth, "cut at step": self.cut}
+        limits = {"risk_cap": self.risk_cap, "robot_value": self.robot_value, "cut at step": self.cut}
         return ", ".join([self.policy, *(f"{name} {value:g}" for name, value in limits.items() if value is not None)])
 
 
@@ -76,7 +76,7 @@ def rivals(kind: Kind, robots: int, side: int = 20) -> tuple[Setting, ...]:
 
 def ladder(kind: Kind, robots: int) -> tuple[Setting, ...]:
     """`per_cell` without and with a worth, the least willing last."""
-    return tuple(Setting(kind, robots, "per_cell", worth=worth) for worth in (None, *WORTHS))
+    return tuple(Setting(kind, robots, "per_cell", robot_value=robot_value) for robot_value in (None, *WORTHS))
 
 
 def cuts(kind: Kind, robots: int) -> tuple[Setting, ...]:
@@ -379,7 +379,7 @@ def study_json(study: Study) -> Json:
             "kind": setting.kind,
             "size": [setting.side, setting.side],
             "robots": setting.robots,
-            "policy": {"name": setting.policy, "reserve": setting.reserve, "worth": setting.worth},
+            "policy": {"name": setting.policy, "risk_cap": setting.risk_cap, "robot_value": setting.robot_value},
             "deadline": setting.cut,
             "maps": study.maps(setting),
             "exact": study.exact(setting),

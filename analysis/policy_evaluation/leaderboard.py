@@ -329,7 +329,7 @@ OURS = {
     "mrac": (Settings(), "closed"),
     "mrac, open loop": (Settings(), "open"),
     "per_cell": (PER_CELL, "closed"),
-    "per_cell+reserve": (replace(PER_CELL, reserve=RESERVE), "closed"),
+    "per_cell+reserve": (replace(PER_CELL, risk_cap=RESERVE), "closed"),
 }
 """Those that always stand in the table: settings, and the loop of the same plan."""
 

@@ -41,16 +41,17 @@ LANDMARKS = (*(tenth / 10 for tenth in range(1, 10)), 0.95, 0.99)
 """Coverage, fractions of the accessible cells, that prices are named for; missions are cut where they reach it."""
 RESERVES = (0.1, 0.25, 0.5)
 MOST_WORTHS = 16
-"""Steps of the ladder of `worth`, each twice the one before."""
+"""Steps of the ladder of `robot_value`, each twice the one before."""
 NEXT_TO_NONE = 0.02
 """Robots lost on average below which the ladder ends."""
 USUAL, CELLS = 4096, 2**23
 """Rollouts of a setting where nobody says how many, and the cells that they cover together at most."""
 HALVINGS = 3
-"""Values of `worth` tried between the two that a goal lies between; and missions ended between those that are left."""
+"""Values of `robot_value` tried between the two that a goal lies between; and missions ended between those that are
+left."""
 KNEE = 0.1
 """How far above the straight price between two settings a third has to be to be named: a share of what it costs."""
-FAMILIES = ("mrac", "per_cell", "reserve", "worth")
+FAMILIES = ("mrac", "per_cell", "risk_cap", "robot_value")
 
 
 def usual_rollouts(world: World, starts: NDArray[np.int64]) -> int:
@@ -66,38 +67,40 @@ class Setting(NamedTuple):
     """What a point of the front stands for: a policy with its limits, and the step at which the mission is ended."""
 
     policy: str
-    reserve: float | None = None
-    worth: float | None = None
+    risk_cap: float | None = None
+    robot_value: float | None = None
     deadline: int | None = None
 
     @property
     def family(self) -> str:
         """What it is varied with, one of FAMILIES: a policy alone and cut short, a reserve, a worth."""
-        return "worth" if self.worth is not None else "reserve" if self.reserve is not None else self.policy
+        return (
+            "robot_value" if self.robot_value is not None else "risk_cap" if self.risk_cap is not None else self.policy
+        )
 
     @property
     def limits(self) -> dict[str, float]:
         """The limits that are set, by name."""
-        both = {"reserve": self.reserve, "worth": self.worth}
+        both = {"risk_cap": self.risk_cap, "robot_value": self.robot_value}
         return {name: value for name, value in both.items() if value is not None}
 
     def limits_json(self) -> dict[str, str | float | None]:
         """The policy and both limits, for JSON."""
-        return {"policy": self.policy, "reserve": self.reserve, "worth": self.worth}
+        return {"policy": self.policy, "risk_cap": self.risk_cap, "robot_value": self.robot_value}
 
     def __str__(self) -> str:
         return self.said(UNPACED)
 
     def said(self, pace: Pace) -> str:
-        """In words: "per_cell, worth 40, ended at step 120"."""
+        """In words: "per_cell, robot value 40, ended at step 120"."""
         cut = "" if self.deadline is None else f", ended at {pace.step(self.deadline)}"
-        return self.policy + "".join(f", {name} {value:g}" for name, value in self.limits.items()) + cut
+        return self.policy + "".join(f", {SETTINGS[name].title} {value:g}" for name, value in self.limits.items()) + cut
 
     def options(self) -> list[str]:
         """The options of `evaluate` that ask for it."""
         words = ["--policy", self.policy]
         for name, value in self.limits.items():
-            words += [f"--{name}", exactly(value)]
+            words += [f"--{name.replace('_', '-')}", exactly(value)]
         return words if self.deadline is None else [*words, "--deadline", str(self.deadline)]
 
 
@@ -186,7 +189,7 @@ def first_worth(largest_threat: float) -> float:
 
 
 def careful_first(largest_threat: float, smallest_threat: float, cells: int) -> list[float]:
-    """The whole ladder of `worth` from its end, with which every danger is refused, down to `first_worth`."""
+    """The whole ladder of `robot_value` from its end, with which every danger is refused, down to `first_worth`."""
     first, ladder = first_worth(largest_threat), list[float]()
     for step in range(MOST_WORTHS):
         ladder.insert(0, first * 2**step)
@@ -308,7 +311,7 @@ class Front(Searched):
 
 def settings_of(settings: Settings, setting: Setting) -> Settings:
     """The planner's settings with the policy of a point, for robots that take over from each other."""
-    return replace(settings, **setting._asdict(), plan_for="closed", effort=None)
+    return replace(settings, **setting._asdict(), plan_for="closed_loop", effort=None)
 
 
 def point_of(setting: Setting, found: Measured, cells: int, doubt: float, longest: int) -> Point:
@@ -352,8 +355,8 @@ class Ladders:
         landmarks: a mission is also ended at the step by which so much is covered on average, fractions.
     """
 
-    reserves: tuple[float, ...] | None = None
-    worths: tuple[float, ...] | None = None
+    risk_caps: tuple[float, ...] | None = None
+    robot_values: tuple[float, ...] | None = None
     landmarks: tuple[float, ...] = LANDMARKS
 
 
@@ -369,9 +372,11 @@ def find_front(
     progress: ProgressCallback | None = None,
     doing: Doing | None = None,
 ) -> Front:
-    """Look at `mrac` and `per_cell`, whole and ended early, and at `per_cell` over ladders of `reserve` and `worth`.
+    """Look at `mrac` and `per_cell`, whole and ended early, and at `per_cell` over ladders of `risk_cap` and
+    `robot_value`.
 
-    All are rolled out with the same ids and seed; the ladder of `worth` doubles from 1 / p of the worst cell until next
+    All are rolled out with the same ids and seed; the ladder of `robot_value` doubles from 1 / p of the worst cell
+    until next
     to no robot is lost, and is refined around a goal. With `choices.deadline` every mission ends there. Nothing is
     rolled out of settings whose trees end in time (`analysis.estimators.trial`). The pick is chosen and told on other
     ids:
@@ -427,7 +432,8 @@ def quick_points(
     doing: Doing,
     clock: Callable[[], float] = time.process_time,
 ) -> tuple[Point, ...]:
-    """A few settings in a moment: `per_cell` from the most careful `worth` down to where so many `losses` are reached,
+    """A few settings in a moment: `per_cell` from the most careful `robot_value` down to where so many `losses` are
+    reached,
     then the policies as they are.
 
     The careful ones come first, as they are cheap and say what costs no robot. None is begun after `seconds` of work;
@@ -438,8 +444,8 @@ def quick_points(
     search = _Search(world, starts, settings, choices, Goal(), Ladders((), None, ()), None, doing)
     search.kept, begun = kept, math.inf
     if len(search.dangers):
-        for worth in careful_first(float(search.dangers.max()), float(search.dangers.min()), search.cells):
-            point = search.look_at(Setting("per_cell", worth=worth))
+        for robot_value in careful_first(float(search.dangers.max()), float(search.dangers.min()), search.cells):
+            point = search.look_at(Setting("per_cell", robot_value=robot_value))
             begun = min(begun, clock())
             if point.losses.mean >= losses or clock() - begun >= seconds:
                 break
@@ -476,8 +482,8 @@ class _Search:
         self.notes: list[str] = [] if world.value is None else [BY_CELLS]
         if settings.return_to is not None:
             self.notes.append(ENDS_AT_HOME)
-        _check_ladder("worth", ladders.worths or ())
-        self.reserves = self._reserves()
+        _check_ladder("robot_value", ladders.robot_values or ())
+        self.risk_caps = self._reserves()
 
     def _way_home(self) -> int:
         """The moves of the longest way home from a start: a mission that ends before has none."""
@@ -491,7 +497,7 @@ class _Search:
     @property
     def distinct(self) -> list[Point]:
         """The points, sorted; limits that nobody named and that come to the same as a lower one are left out."""
-        asked = {"reserve": self.ladders.reserves is not None, "worth": self.ladders.worths is not None}
+        asked = {"risk_cap": self.ladders.risk_caps is not None, "robot_value": self.ladders.robot_values is not None}
         found: dict[tuple[object, ...], Point] = {}
         for setting, point in sorted(self.points.items(), key=lambda item: tuple(item[0].limits.values())):
             own = setting if asked.get(setting.family, True) else None
@@ -504,11 +510,11 @@ class _Search:
             self._with_cuts(policy)
         self._up_the_ladder()
         self._refine()
-        for setting in self.reserves:
+        for setting in self.risk_caps:
             self.look_at(setting)
 
     def _reserves(self) -> list[Setting]:
-        values = self.ladders.reserves
+        values = self.ladders.risk_caps
         if values is None:
             values = () if len(self.starts) == 1 or not len(self.dangers) else RESERVES
             if values and self.cells > RESERVED_CELLS:
@@ -516,8 +522,8 @@ class _Search:
                 self.notes.append(
                     f"Reserves were skipped (slow above {RESERVED_CELLS:,} cells); add {argument('reserves')}"
                 )
-        _check_ladder("reserve", values)
-        return [Setting("per_cell", reserve=value) for value in values]
+        _check_ladder("risk_cap", values)
+        return [Setting("per_cell", risk_cap=value) for value in values]
 
     def _with_cuts(self, policy: str) -> None:
         """A policy as it is, and ended early."""
@@ -532,38 +538,39 @@ class _Search:
             self.look_at(setting._replace(deadline=step))
 
     def _up_the_ladder(self) -> None:
-        """The values of `worth` that were named; or each twice the one before, until next to no robot is lost."""
-        if self.ladders.worths is not None:
-            for worth in self.ladders.worths:
-                self.look_at(Setting("per_cell", worth=worth))
+        """The values of `robot_value` that were named; or each twice the one before, until next to no robot is lost."""
+        if self.ladders.robot_values is not None:
+            for robot_value in self.ladders.robot_values:
+                self.look_at(Setting("per_cell", robot_value=robot_value))
         elif len(self.dangers):
-            worth = first_worth(float(self.dangers.max()))
+            robot_value = first_worth(float(self.dangers.max()))
             all_refused = self.cells / float(self.dangers.min())
             for step in range(MOST_WORTHS):
-                point = self.look_at(Setting("per_cell", worth=worth * 2**step))
-                if point.losses.mean < NEXT_TO_NONE or worth * 2**step > all_refused:
+                point = self.look_at(Setting("per_cell", robot_value=robot_value * 2**step))
+                if point.losses.mean < NEXT_TO_NONE or robot_value * 2**step > all_refused:
                     return
 
     def _refine(self) -> None:
-        """Further values of `worth` between two neighbours of which one meets the goal; then the lower one ended early.
+        """Further values of `robot_value` between two neighbours of which one meets the goal; then the lower one
+        ended early.
 
-        A small change of `worth` may refuse a large area, so that nothing lies between; a step can be any.
+        A small change of `robot_value` may refuse a large area, so that nothing lies between; a step can be any.
         """
-        if not self.goal or self.ladders.worths is not None:
+        if not self.goal or self.ladders.robot_values is not None:
             return
         for _ in range(HALVINGS):
             if (parted := self._parted()) is None:
                 return
-            self.look_at(Setting("per_cell", worth=between(*parted)))
+            self.look_at(Setting("per_cell", robot_value=between(*parted)))
         if (parted := self._parted()) is not None:
-            setting = Setting("per_cell", worth=parted[0])
-            more, less = (self.points[self._ended(setting._replace(worth=v))].coverage.mean for v in parted)
+            setting = Setting("per_cell", robot_value=parted[0])
+            more, less = (self.points[self._ended(setting._replace(robot_value=v))].coverage.mean for v in parted)
             marks = [less + (more - less) * part / (HALVINGS + 1) for part in range(1, HALVINGS + 1)]
             self._cut(setting, [*marks, *self._target(setting)])
 
     def _parted(self) -> tuple[float, float] | None:
-        """The first two neighbours of the ladder of `worth` of which one meets the goal."""
-        known = [(s.worth, self.goal.allows(p.sure)) for s, p in self.points.items() if s.worth is not None]
+        """The first two neighbours of the ladder of `robot_value` of which one meets the goal."""
+        known = [(s.robot_value, self.goal.allows(p.sure)) for s, p in self.points.items() if s.robot_value is not None]
         return next(((a, b) for (a, met), (b, other) in pairwise(sorted(known)) if met != other), None)
 
     def _target(self, setting: Setting) -> tuple[float, ...]:

@@ -294,13 +294,13 @@ def _size_point_json(point: TeamPoint) -> Json:
 TITLES = {
     "mrac": "mrac, ended early",
     "per_cell": "per_cell, ended early",
-    "reserve": "per_cell with reserve",
-    "worth": "per_cell with worth",
+    "risk_cap": "per_cell with a risk cap",
+    "robot_value": "per_cell with a robot value",
 }
 PRICED = {
     ("mrac",): TITLES["mrac"],
     ("per_cell",): TITLES["per_cell"],
-    ("reserve", "worth"): "per_cell with reserve or worth",
+    ("risk_cap", "robot_value"): "per_cell with a risk cap or robot value",
 }
 """Columns of the table of prices, by the families in them."""
 PICK = "the pick"
@@ -327,7 +327,7 @@ def front_report(front: Front) -> Report:
             Part("What coverage costs in steps", drawn=lambda: [over_time]),
         ],
         notes=front.notes,
-        settings={name: value for name, value in settings.items() if name not in ("policy", "reserve", "worth")},
+        settings={name: value for name, value in settings.items() if name not in ("policy", "risk_cap", "robot_value")},
         pictures={"front.png": lambda: [over_losses, over_time]}, pace=front.world.pace,
         files={} if picked is None
         else {"plan.json": lambda: json_text(front.plan_of(picked).to_json(), compact=True)},
@@ -433,7 +433,7 @@ def _fresh(front: Front, point: Point) -> str:
 
 def command_of(front: Front, point: Point) -> str:
     """The command that evaluates a point, on other luck where that was sampled."""
-    closed = [] if front.settings.plan_for == "closed" else ["--plan-for", "closed"]
+    closed = [] if front.settings.plan_for == "closed_loop" else ["--plan-for", "closed_loop"]
     how = ["--plan", front.plan_file] if front.plan_file else [*closed, *point.setting.options()]
     return run_again(front.words, how, front.choices, exact=point.exact)
 
@@ -507,15 +507,15 @@ def _price(front: Front, point: Point) -> str:
 def _points(front: Front, whole: bool = False) -> Table:
     """The settings that no other covers as much as with as few robots lost, and the pick; `whole`: all of them."""
     valued, pace = front.world.value is not None, front.world.pace
-    columns = ("policy", "reserve", "worth", "ends at", "visited, %", "from .. to", *["value, %"] * valued, "lost",
-               "from .. to", "steps", *["minutes"] * bool(pace), "")  # fmt: skip
+    columns = ("policy", "risk cap", "robot value", "ends at", "visited, %", "from .. to", *["value, %"] * valued,
+               "lost", "from .. to", "steps", *["minutes"] * bool(pace), "")  # fmt: skip
     title = "All settings" if whole else "What coverage costs in robots"
     dropped = ("steps", "from .. to", "from .. to")
     table = make_table(columns, title, left=("policy", ""), dropped=dropped, padding=(0, 1, 0, 0))
     shown = range(len(front.points)) if whole else sorted(_cheap(front), key=lambda at: front.points[at].losses.mean)
     for place in shown:
         point, setting = front.points[place], front.points[place].setting
-        limits = ("" if value is None else f"{value:g}" for value in (setting.reserve, setting.worth))
+        limits = ("" if value is None else f"{value:g}" for value in (setting.risk_cap, setting.robot_value))
         end = "" if setting.deadline is None else f"{setting.deadline:,}{pace.also(setting.deadline)}"
         worth = () if point.value is None else (in_percent(point.value.mean, 2),)
         times = (f"{point.time.mean:,.0f}", *[f"{pace.minutes * point.time.mean:,.1f}"] * bool(pace))

@@ -345,7 +345,7 @@ def find_size(
 
 def _check_alike(settings: Settings) -> None:
     """Raise UsageError for ranges or susceptibilities one a robot: teams of other sizes have none."""
-    for name in ("range", "susceptibility", "types", "steps_per_move"):
+    for name in ("range", "hazard_multiplier", "types", "steps_per_move"):
         given = getattr(settings, name)
         if isinstance(given, tuple):
             problem = f"{argument(name)} of {len(given)} robots, and teams of other sizes"

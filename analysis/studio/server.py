@@ -110,7 +110,7 @@ def studio_page() -> str:
 
 PAGE = Path("the page")
 """What errors about a request name as their source."""
-LIMITS, KNOWN = ("reserve", "worth"), ("unknown", "believed", "sense")
+LIMITS, KNOWN = ("risk_cap", "robot_value"), ("unknown", "believed", "sensor_range")
 
 
 USUAL = Sense(2.0)
@@ -168,7 +168,7 @@ class Sketch:
             base64.b64encode(of.tobytes()).decode() for of in (self.world.met.astype("<f4"), self.unknown)
         )
         sees = None if self.sense.range == inf else self.sense.range
-        knows = {"unknown": unknown, "believed": float(f"{self.believed:.7g}"), "sense": sees}
+        knows = {"unknown": unknown, "believed": float(f"{self.believed:.7g}"), "sensor_range": sees}
         said = {name: getattr(self.settings, name) for name in ("policy", *LIMITS)}
         return {"cells": cells, "starts": starts, "robots": self.robots, "deadline": self.deadline} | said | knows
 
@@ -194,9 +194,10 @@ def read_sketch(body: bytes, first: Sketch) -> tuple[Sketch, Mapping[str, Key]]:
     """The board that a request's JSON holds, on the ground of the `first` one, and all keys of the request.
 
     `cells`: base64 of little-endian float32 `[H, W]`, NaN = obstacle. `starts`: `[[row, col], ...]`, or null for so
-    many `robots` placed by the rule. `policy`, `reserve`, `worth`, `deadline` as the options of `evaluate`, null: none.
+    many `robots` placed by the rule. `policy`, `risk_cap`, `robot_value`, `deadline` as the options of `evaluate`,
+    null: none.
     `unknown`: base64 of a byte a cell, 1: robots do not know it, believe it free with the chance `believed`, and see
-    `sense` cells far, null: everything. Raises InputError.
+    `sensor_range` cells far, null: everything. Raises InputError.
     """
     try:
         top = Key(json.loads(body), "", PAGE, UsageError)
@@ -218,12 +219,12 @@ def read_sketch(body: bytes, first: Sketch) -> tuple[Sketch, Mapping[str, Key]]:
     if keys["deadline"].value is not None:
         step = ground.pace.last_step("deadline", keys["deadline"].value, str(PAGE))
         deadline = replace(keys["deadline"], value=step).number(whole(1, MAX_STEP, "a step"))
-    believed, sees = keys["believed"].number(PROBABILITY), keys["sense"]
+    believed, sees = keys["believed"].number(PROBABILITY), keys["sensor_range"]
     sense = replace(first.sense, range=inf if sees.value is None else sees.number(RANGE))
     unknown = _cells(keys["unknown"], ground.shape, "u1").astype(np.bool_)
     if unknown.any():
         told = np.where(unknown, np.float32(believed), world.threat)
-        with keys["sense"].naming():
+        with keys["sensor_range"].naming():
             world = with_truth(replace(world, threat=told), world, sense)
     return Sketch(world, robots if starts is None else len(starts), settings, deadline, believed, sense), keys
 
@@ -590,7 +591,7 @@ class Studio:
     board: Sketch = field(init=False)
 
     def __post_init__(self) -> None:
-        if self.first.settings.plan_for != "closed":
+        if self.first.settings.plan_for != "closed_loop":
             problem = f"plan_for is {self.first.settings.plan_for} in the studio"
             raise UsageError(problem, source=self.name, expected="closed", fix="leave it out")
         cells = self.first.world.threat.size

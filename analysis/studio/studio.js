@@ -1,7 +1,7 @@
 // The studio: what is painted or chosen is asked about at once; the newest question alone is waited for.
 const at = (id) => document.getElementById(id);
 const BRUSHES = ["Threat", "Obstacle", "Safe", "Unknown", "Known", "Start", "Move"], SIZES = ["1", "3", "7"], MOST_ROBOTS = 1024;
-const numbers = ["reserve", "worth", "deadline"], headline = at("headline"), box = at("board"), here = box.querySelector(".here"), view = box.parentElement;
+const numbers = ["risk_cap", "robot_value", "deadline"], headline = at("headline"), box = at("board"), here = box.querySelector(".here"), view = box.parentElement;
 
 function problem(text) {
   at("problem").textContent = text;
@@ -22,7 +22,7 @@ async function start() {
   for (const key of numbers) at(key).value = about.board[key] ?? "";
   at("deadline-unit").textContent = about.paced ? "step, or a time: 45min" : "step";
   at("believed").value = +(100 * about.board.believed).toPrecision(6);
-  at("sense").value = about.board.sense ?? "";
+  at("sensor_range").value = about.board.sensor_range ?? "";
   at("save").textContent = "Save as " + about.out;
 
   // --- what is asked, and what is answered ---
@@ -30,8 +30,8 @@ async function start() {
   const number = (key) => (at(key).value === "" || at(key).disabled ? null : +at(key).value);
   const body = () => ({
     cells: packCells(board.cells), starts: board.starts, robots: board.robots, policy: at("policy").value,
-    reserve: number("reserve"), worth: number("worth"), deadline: written_or_step(at("deadline").value),
-    unknown: packCells(board.unknown), believed: number("believed") / 100, sense: number("sense"),
+    risk_cap: number("risk_cap"), robot_value: number("robot_value"), deadline: written_or_step(at("deadline").value),
+    unknown: packCells(board.unknown), believed: number("believed") / 100, sensor_range: number("sensor_range"),
   });
   async function ask() {
     if (waiting) waiting.abort();
@@ -207,7 +207,7 @@ async function start() {
   });
   function limit() {
     const limited = at("policy").selectedOptions[0].hasAttribute("data-limited");
-    for (const key of ["reserve", "worth"]) at(key).disabled = !limited;
+    for (const key of ["risk_cap", "robot_value"]) at(key).disabled = !limited;
   }
   limit();
   at("policy").addEventListener("change", limit);

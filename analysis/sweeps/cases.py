@@ -34,6 +34,7 @@ from planner.files import Json
 from planner.plan.plan import Plan
 from planner.plan_team import plan_team, read_plan_on
 from planner.policies import DEFAULT
+from planner.renamed import names_of_0_3
 from planner.settings import BEARING, Choices, Settings
 from planner.tally import Tally
 from planner.world.features import BEFORE, NOW, RELEASES, as_before, rules_of
@@ -55,7 +56,7 @@ if TYPE_CHECKING:
 
 MOST_MAPS = 1_000_000
 """Random maps of one run."""
-BESIDE = ("prior", "sense", "movers", "phases", "plan_on", "hazard", "uncertain")
+BESIDE = ("prior_map", "sensor_range", "moving_threats", "phases", "plan_on", "latent_hazard", "map_uncertainty")
 """Keys of a scenario that a random map may have: what robots know of it, and how its threats change."""
 
 
@@ -160,7 +161,7 @@ class Team:
             "shape": list(self.world.shape),
             "world": self.world.luck_sha256,
             "starts": self.starts.tolist(),
-            "plan": self.settings.to_json() if self.plan is None else _plan_hash(self.plan),
+            "plan": names_of_0_3(self.settings.to_json()) if self.plan is None else _plan_hash(self.plan),
         }
         return hashlib.sha256(canonical(said).encode()).hexdigest()
 
@@ -270,8 +271,8 @@ def _plan_hash(plan: Plan) -> str:
     width = plan.shape[1]
     paths = [[list(divmod(cell, width)) for cell in robot.path.tolist()] for robot in plan.robots]
     areas = [[area.level, area.robot, area.cells.tolist()] for area in plan.areas]
-    settings = None if plan.settings is None else plan.settings.to_json()
-    bears = [] if plan.bears.is_plain else [plan.bears.to_json()]
+    settings = None if plan.settings is None else names_of_0_3(plan.settings.to_json())
+    bears = [] if plan.bears.is_plain else [names_of_0_3(plan.bears.to_json())]
     begun = [] if plan.state is None else [plan.state.to_json()]
     return hashlib.sha256(canonical([paths, areas, settings, *bears, *begun]).encode()).hexdigest()
 
@@ -300,7 +301,7 @@ def naming(error: InputError, case: str) -> InputError:
 # order, by another process or on another machine, it gives the same counts.
 
 ONCE_UNDER_WAY: dict[str, Any] = {
-    "policy": DEFAULT, **dict.fromkeys(("reserve", "worth", "range", "recharge", "max_steps", "deadline")),
+    "policy": DEFAULT, **dict.fromkeys(("risk_cap", "robot_value", "range", "recharge", "max_steps", "deadline")),
     **{name: getattr(Settings(), name) for name in BEARING},
 }  # fmt: skip
 """Settings, by their defaults, that the areas at t = 0 do not depend on."""
@@ -390,7 +391,7 @@ class _Loops:
         self._team = team
         self._closed: ClosedLoop | None = None
         known = team.world.draws is None  # the compiled nominal run is of one truth
-        if closed and known and team.plan is None and team.settings.plan_for == "closed":
+        if closed and known and team.plan is None and team.settings.plan_for == "closed_loop":
             from planner.rollouts.closed_loop import with_nominal_run
 
             alike = replace(team, settings=replace(team.settings, **ONCE_UNDER_WAY))

@@ -346,9 +346,9 @@ def is_older(run: Run, store: Store, homes: dict[str, bool]) -> bool | None:
     told = what.get("plan_on")
     if what.get("phases") is not None:
         return told in (None, "now")
-    if what.get("movers") is not None:
+    if what.get("moving_threats") is not None:
         return told is None
-    in_doubt = any(what.get(name) is not None for name in ("hazard", "uncertain"))
+    in_doubt = any(what.get(name) is not None for name in ("latent_hazard", "map_uncertainty"))
     return None if CHANGES in world and not in_doubt else False
 
 

@@ -33,6 +33,7 @@ from planner.arguments import ANY, FRACTION, MOST_ROLLOUTS, SEED, Numbers, did_y
 from planner.errors import PER_VISIT, InputError, ScenarioError, UsageError
 from planner.files import Json
 from planner.policies import DEFAULT
+from planner.renamed import RENAMED, with_new_names
 from planner.rollouts.engine import MOST_SEED
 from planner.settings import SETTINGS as PLANNER_SETTINGS
 from planner.settings import Choices, Setting
@@ -107,7 +108,7 @@ MODEL: dict[str, Reader] = {
     "seed": _one_of(SEED),
 }
 SETTINGS = {**INPUT, **WORLD, **PAPER, **UNSAID, **TEAM, **PLANNER, **MODEL}
-PLACES = ("map", "cell_size", "unknown", "threats", "combine", "truth", *BESIDE)
+PLACES = ("map", "cell_size", "unknown", "threats", "combine", "true_map", *BESIDE)
 """Keys of a scenario in which a place may be swept: `threats[0].scale`."""
 PART = re.compile(r"([A-Za-z_][A-Za-z_0-9]*)|\[([0-9]+)\]")
 
@@ -118,7 +119,7 @@ def is_path(name: str) -> bool:
 
 
 def is_beside(name: str) -> bool:
-    """True for one that any world may have, as `sense` or `movers[0].walk`."""
+    """True for one that any world may have, as `sensor_range` or `moving_threats[0].walk`."""
     return is_path(name) and _first(name) in BESIDE
 
 
@@ -172,7 +173,7 @@ def scenario_of(name: str) -> Json:
     if path.suffix.lower() in (".yaml", ".yml"):
         top = read_yaml(path)
         if isinstance(top.value, dict) and "map" in top.value and "image" not in top.value:
-            found: Json = json.loads(canonical(top.value))
+            found: Json = json.loads(canonical(with_new_names(top.value, PLACES, name)))
             return found
     return {"map": {"file": path.name}}
 
@@ -188,7 +189,7 @@ def generators(scenario: Mapping[str, Any]) -> list[Json]:
 def _put_all(scenario: Json, values: Json, source: str) -> None:
     """Set what is swept; where movers or phases are left out, what robots would plan on is too."""
     for name, value in values.items():
-        if name != "plan_on" or None not in (values.get("movers", name), values.get("phases", name)):
+        if name != "plan_on" or None not in (values.get("moving_threats", name), values.get("phases", name)):
             _put(scenario, name, value, source)
 
 
@@ -306,12 +307,19 @@ def _swept(key: Key) -> dict[str, Key]:
     """The swept names: settings, or places in a scenario."""
     if not isinstance(key.value, dict):
         raise key.wrong("names of settings with lists of values")
-    for name in key.value:
+    value = {_new_place(str(name)): listed for name, listed in with_new_names(key.value, SETTINGS, key.source).items()}
+    for name in value:
         if name not in SETTINGS and not is_path(str(name)):
             problem, fix = f"unknown setting `sweep.{str(name)[:60]}`", did_you_mean(name, [*SETTINGS, *PLACES])
             expected = f"one of {', '.join(SETTINGS)}, or a place in the scenario as threats[0].scale"
             raise ScenarioError(problem, source=key.source, expected=expected, fix=fix)
-    return {name: Key(value, f"sweep.{name}", key.source) for name, value in key.value.items()}
+    return {name: Key(value, f"sweep.{name}", key.source) for name, value in value.items()}
+
+
+def _new_place(name: str) -> str:
+    """`movers[0].walk` of release 0.3 as `moving_threats[0].walk`."""
+    first = _first(name)
+    return name if RENAMED.get(first) not in PLACES else RENAMED[first] + name[len(first) :]
 
 
 def _values(name: str, key: Key) -> tuple[Any, ...]:

@@ -27,6 +27,7 @@ from planner.arguments import BLOCK
 from planner.errors import PER_VISIT, InputError
 from planner.files import Json, printable, why_no_file
 from planner.formatting import counted
+from planner.renamed import LOOPS, RENAMED
 from planner.tally import Tally
 
 # Opening a store's file: SQLite in WAL mode, made, checked, versioned; what SQLite says when it cannot, in our words.
@@ -453,6 +454,9 @@ class Store:
             raise damaged(self.path, f"run {str(row[0])[:12]}")
         what = json.loads(row[2])
         what.pop("mode", None)  # of 0.3, which drew in other ways too
+        what = {RENAMED.get(name, name): value for name, value in what.items()}  # labels of 0.3's settings
+        if isinstance(loop := what.get("plan_for"), str):
+            what["plan_for"] = LOOPS.get(loop, loop)
         return what, json.loads(row[3])
 
     def _parts(self, key: str) -> Iterator[tuple[Any, Any]]:

@@ -250,7 +250,7 @@ def _is_cut_off(plan: Plan) -> bool:
     return (
         plan.state is not None
         or settings is None
-        or any(limit is not None for limit in (settings.last_step, settings.worth, settings.range))
+        or any(limit is not None for limit in (settings.last_step, settings.robot_value, settings.range))
     )
 
 
@@ -497,7 +497,7 @@ def nominal_checks(plan: Plan, world: World, alone: Plan | None) -> list[Check]:
     """
     settings = plan.settings
     cut_off = plan.outcome in (Outcome.STEP_LIMIT.word, Outcome.DEADLINE.word)
-    if settings is None or settings.worth is not None or settings.range is not None or cut_off:
+    if settings is None or settings.robot_value is not None or settings.range is not None or cut_off:
         return []
     accessible = np.flatnonzero(world.accessible(plan.starts))
     seen = np.unique(np.concatenate([robot.path for robot in plan.robots]))

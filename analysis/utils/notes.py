@@ -10,6 +10,7 @@ from typing import Any
 
 from planner.arguments import nearest
 from planner.errors import UsageError, visible
+from planner.renamed import with_new_names
 
 ProgressCallback = Callable[[int, int, float], None]
 """`progress(done, total, seconds)`, called after every chunk; `total` is 0 when it is not known."""
@@ -108,10 +109,12 @@ def with_hints(
 ) -> Callable[..., Any]:
     """The function, whose error for a keyword that it does not have says which is meant."""
     own = signature(function).parameters
+    known = set(own) | set(getattr(function, "settings", ()))
     takes_any = any(one.kind is Parameter.VAR_KEYWORD for one in own.values())
 
     @wraps(function)
     def call(*arguments: Any, **given: Any) -> Any:
+        given = with_new_names(given, known)
         try:
             for name in () if takes_any else given.keys() - own.keys():
                 raise UnknownArgument.of(function, name, given[name], own)

@@ -20,6 +20,7 @@ from rich.text import Text
 from planner.arguments import argument
 from planner.errors import UsageError, visible
 from planner.formatting import chance, counted
+from planner.settings import SETTINGS
 
 if TYPE_CHECKING:
     from planner.formatting import Pace
@@ -193,9 +194,11 @@ def _flat(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def policy_words(settings: Settings) -> str:
-    """A policy and its limits: "watchful, reserve 0.25, order of areas found"."""
-    limits = {name: getattr(settings, name) for name in ("reserve", "worth", "density")}
-    own = [f"{name} {value:g}" for name, value in limits.items() if value != getattr(type(settings), name)]
+    """A policy and its limits: "watchful, risk cap 0.25, order of areas found"."""
+    limits = {name: getattr(settings, name) for name in ("risk_cap", "robot_value", "density")}
+    own = [
+        f"{SETTINGS[name].title} {value:g}" for name, value in limits.items() if value != getattr(type(settings), name)
+    ]
     own += ["order of areas found"] * (settings.priority is not None)
     return ", ".join([settings.rule.name, *own])
 

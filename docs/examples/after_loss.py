@@ -67,7 +67,7 @@ def main(robots: int, maps: int, runs: int, tries: int) -> None:
         for seed in range(maps):
             world = random_world(pattern=ThreatPattern(kind, seed=seed))
             starts = place_starts(world, robots)[0]
-            fair = Settings(policy="watchful", reserve=1 / robots)
+            fair = Settings(policy="watchful", risk_cap=1 / robots)
             settings = order_areas(world, starts, fair, CHOICES, AllPairs(), 300 if robots < 4 else 150, lambda: True)
             plan, gains = make_plan(world, starts, settings), []
             for run in range(runs):

@@ -30,12 +30,12 @@ OURS: tuple[tuple[int, float, mrac.Settings], ...] = (
     (1, 0.04, mrac.Settings()),
     (1, 0.04, mrac.Settings(policy="frontier")),
     (1, 0.04, mrac.Settings(policy="per_cell")),
-    (1, 0.04, mrac.Settings(policy="per_cell", worth=20.0)),
-    (1, 0.04, mrac.Settings(policy="per_cell", reserve=0.1)),
+    (1, 0.04, mrac.Settings(policy="per_cell", robot_value=20.0)),
+    (1, 0.04, mrac.Settings(policy="per_cell", risk_cap=0.1)),
     (2, 0.04, mrac.Settings(policy="per_cell")),
-    (2, 0.04, mrac.Settings(policy="per_cell", worth=20.0)),
+    (2, 0.04, mrac.Settings(policy="per_cell", robot_value=20.0)),
     (TOLD, 0.0, mrac.Settings(policy="per_cell")),
-    (TOLD, 0.0, mrac.Settings(policy="per_cell", worth=20.0)),
+    (TOLD, 0.0, mrac.Settings(policy="per_cell", robot_value=20.0)),
 )
 """Cells that robots see, or that they are told the map; the p that they expect; how they decide."""
 
@@ -82,7 +82,7 @@ def main(checkout: Path, starts: int, rollouts: int) -> None:
     for far, p, settings in OURS:
         known = maps if far == TOLD else [mrac.with_prior(world, p, sense=far) for world in maps]
         what = "told the map" if far == TOLD else f"expect {p:g}, see {far}"
-        limits = f" worth {settings.worth} reserve {settings.reserve}"
+        limits = f" worth {settings.robot_value} reserve {settings.risk_cap}"
         say(f"{what}: {settings.policy}{limits}", ours(known, settings, starts, rollouts), logs[0])
 
 

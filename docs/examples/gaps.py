@@ -45,7 +45,7 @@ def measured(kind: Kind, robots: int, seed: int) -> Row:
     world = random_world(pattern=ThreatPattern(kind, seed=seed))
     starts = place_starts(world, robots)[0]
     plain = Settings(policy="watchful")
-    fair = Settings(policy="watchful", reserve=1 / robots if robots > 1 else None)
+    fair = Settings(policy="watchful", risk_cap=1 / robots if robots > 1 else None)
     rules = {"per_cell": Settings(policy="per_cell"), "watchful": plain, "reserve 1/k": fair}
     row: Row = {"kind": kind, "robots": robots, "seed": seed}
     row |= {name: covered(world, make_plan(world, starts, rule)) for name, rule in rules.items()}

@@ -70,20 +70,20 @@ class AreaEnv:
         starts: ArrayLike | None = None,
         rule: Policy = DEFAULT,
         offers: int = 8,
-        worth: float = 0.0,
+        robot_value: float = 0.0,
         max_steps: int | None = None,
     ) -> None:
         """`rule`: by which robots travel and cover, and offers are in order. Raises InputError as `CoverageEnv`."""
         placed = starts_of(world, robots, starts)
         (world.check_told if isinstance(world.doubt, Hazard) else world.check_settled)("the environment")
         world.check_alike("the environment")
-        Numbers(0).check("worth", worth)
+        Numbers(0).check("robot_value", robot_value)
         whole(1, 1024).check("offers", offers)
         if isinstance(rule, str):
             check_word("rule", rule, tuple(RULES))
         whole(1).check("max_steps", max_steps, optional=True)
         self._problem, self._plan = allocated(world, placed, asked_of(world, policy=rule))
-        self.world, self.starts, self.worth, self.offers = world, placed, float(worth), int(offers)
+        self.world, self.starts, self.robot_value, self.offers = world, placed, float(robot_value), int(offers)
         self.num_agents, self.accessible = len(placed), int(self._problem.levels.accessible.sum())
         self.max_steps = self._problem.max_steps if max_steps is None else int(max_steps)
         self.agents = [f"agent_{robot}" for robot in range(self.num_agents)]
@@ -190,7 +190,7 @@ class AreaRuns:
                 continue
             new, alive = run.new, env.alive(run)
             env.take(run, given[place])
-            rewards[place] = run.new - new - env.worth * (alive & ~env.alive(run))
+            rewards[place] = run.new - new - env.robot_value * (alive & ~env.alive(run))
         return self._tell(rewards)
 
     def _tell(self, rewards: NDArray[np.float32]) -> Told:
@@ -230,7 +230,7 @@ def make_env(
     *,
     actions: Actions = "moves",
     starts: ArrayLike | None = None,
-    worth: float = 0.0,
+    robot_value: float = 0.0,
     max_steps: int | None = None,
     view: int | None = None,
     rule: Policy | None = None,
@@ -238,7 +238,7 @@ def make_env(
 ) -> CoverageEnv | AreaEnv:
     """The environment of these actions; arguments as of `mrac.env`. Raises InputError."""
     check_word("actions", actions, get_args(Actions))
-    more: dict[str, Any] = {"starts": starts, "worth": worth, "max_steps": max_steps}
+    more: dict[str, Any] = {"starts": starts, "robot_value": robot_value, "max_steps": max_steps}
     given: dict[str, Any] = {"view": view, "rule": rule, "offers": offers}
     for name, value in given.items():
         if value is not None and ONLY_OF[name] != actions:

@@ -100,9 +100,9 @@ def asked_of(world: World, **given: Any) -> Settings:
     settings.check_alike("the environment")
     bearing = settings.bearing()
     unlike = {
-        "plan_for": settings.plan_for != "closed",
-        "wear": bearing.shape != 1,
-        "susceptibility": not bearing.is_even,
+        "plan_for": settings.plan_for != "closed_loop",
+        "weibull_shape": bearing.shape != 1,
+        "hazard_multiplier": not bearing.is_even,
         "range": settings.range is not None,
         "return_to": settings.return_to is not None,
         "deadline": settings.deadline is not None,
@@ -168,7 +168,7 @@ class CoverageEnv:
         *,
         starts: ArrayLike | None = None,
         view: int | None = None,
-        worth: float = 0.0,
+        robot_value: float = 0.0,
         max_steps: int | None = None,
     ) -> None:
         """Raises InputError for starts or numbers that are none, and for uncertain maps, values, or a team (`asked_of`)
@@ -178,11 +178,11 @@ class CoverageEnv:
         (world.check_settled if self._hazards is None else world.check_told)("the environment")
         world.check_alike("the environment")
         asked_of(world)
-        Numbers(0).check("worth", worth)
+        Numbers(0).check("robot_value", robot_value)
         whole(0).check("view", view, optional=True)
         whole(1).check("max_steps", max_steps, optional=True)
         accessible = world.accessible(placed)
-        self.world, self.starts, self.view, self.worth = world, placed, view, float(worth)
+        self.world, self.starts, self.view, self.robot_value = world, placed, view, float(robot_value)
         self.num_agents, self.accessible = len(placed), int(accessible.sum())
         self.max_steps = 2 * self.accessible if max_steps is None else int(max_steps)
         self.agents = [f"agent_{robot}" for robot in range(self.num_agents)]
@@ -242,7 +242,7 @@ class CoverageEnv:
         """One step of the team: observations, state, rewards, dones (`__all__` too), infos; `key` is not needed.
 
         A robot's reward is the cells that it was the first to enter (of robots that enter one cell in one step the
-        first by number), minus `worth` when it is lost; then it is done, may only stay, and has reward 0. infos:
+        first by number), minus `robot_value` when it is lost; then it is done, may only stay, and has reward 0. infos:
         `covered`, a fraction of the accessible cells, `lost` robots, `truncated`.
 
         Raises UsageError for other agents, and for an action outside the space. Under `jit`, `vmap` or `scan` values
@@ -318,7 +318,7 @@ class CoverageEnv:
         after, new = self._entered(state, cell, cell != state.cell)
         step = state.step + 1
         done = (after.covered == self.accessible) | ~after.alive.any() | (step >= self.max_steps)
-        rewards = new.astype(jnp.float32) - self.worth * (state.alive & ~after.alive).astype(jnp.float32)
+        rewards = new.astype(jnp.float32) - self.robot_value * (state.alive & ~after.alive).astype(jnp.float32)
         return replace(after, step=step, done=done), rewards
 
     def _entered(self, state: State, cell: jax.Array, enters: jax.Array) -> tuple[State, jax.Array]:

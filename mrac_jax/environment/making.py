@@ -30,7 +30,7 @@ def env(
     view: int | None = None,
     rule: Policy | None = None,
     offers: int | None = None,
-    worth: float = 0.0,
+    robot_value: float = 0.0,
     max_steps: int | None = None,
     face: Face = "pettingzoo",
     num_envs: int = 1,
@@ -40,7 +40,7 @@ def env(
 
     Every robot is an agent. Each step it stays or moves to a neighbour; what it enters is visited and may stop it, by
     the rules and the luck of `evaluate`. It observes float32 planes `[6, h, w]` (threat, obstacles, visited, itself,
-    others, share of the team alive); its reward is the cells it visits first, less `worth` when it is lost.
+    others, share of the team alive); its reward is the cells it visits first, less `robot_value` when it is lost.
 
     Args:
         robots, starts: as of `plan`.
@@ -67,7 +67,13 @@ def env(
     package = "gymnasium" if face == "vector" else face
     if package in EXTRA and find_spec(package) is None:
         raise UsageError(f"{package} is not installed", fix=f"pip install '{EXTRA[package]}'")
-    given: dict[str, Any] = {"starts": starts, "actions": actions, "view": view, "worth": worth, "rule": rule}
+    given: dict[str, Any] = {
+        "starts": starts,
+        "actions": actions,
+        "view": view,
+        "robot_value": robot_value,
+        "rule": rule,
+    }
     made = make_env(world, robots, **given, offers=offers, max_steps=max_steps)
     if face == "vector":
         from mrac_jax.environment.gymnasium_env import TeamVectorEnv

@@ -292,7 +292,10 @@ class Lessons:
         self.phases = world.phases
         self.evidence = None if hazard is None else hazard.evidence
         if hazard is not None and hazard.detector is not None:
-            problem, fix = f"a mission that is driven reads no detector; here: {hazard.said}", "leave `sense` out"
+            problem, fix = (
+                f"a mission that is driven reads no detector; here: {hazard.said}",
+                "leave out `sensor_range`",
+            )
             raise WorldError(problem, source=world.source, fix=f"{fix}, and say by `seen` what one tells")
         if self.evidence is None and world.phases is None:
             world.check_told("a mission that is driven")
@@ -434,9 +437,10 @@ def _outcome(key: Key, settings: Settings) -> str:
     """The outcome that a file names.
 
     Up to release 0.3 files did not say whether an operator had ended a mission or the rule, or whether a deadline cut
-    it off: the settings tell, but for a mission with a `worth` that ended on the way home, which counts as the rule's.
+    it off: the settings tell, but for a mission with a `robot_value` that ended on the way home, which counts as the
+    rule's.
     """
-    if key.value == "called_off" and settings.worth is None:
+    if key.value == "called_off" and settings.robot_value is None:
         return Outcome.ENDED_BY_OPERATOR.word
     word = key.choice((outcome.word for outcome in Outcome), WORDS_OF_0_3)
     return Outcome[word.upper()].by_deadline(settings.ends_by_deadline).word

@@ -261,10 +261,10 @@ class Problem:
 
     @cached_property
     def theta(self) -> int:
-        """From which price per new cell on a dangerous area is refused (`worth`); NO_REFUSAL if none is."""
+        """From which price per new cell on a dangerous area is refused (`robot_value`); NO_REFUSAL if none is."""
         values = self.levels.values if self.own is None else self.own.values
         least = float(values[1]) if len(values) > 1 else 0.0
-        return refusal_threshold(self.settings.worth, self.costs.size, least, self.settings.risk)
+        return refusal_threshold(self.settings.robot_value, self.costs.size, least, self.settings.risk)
 
 
 def most_steps(settings: Settings, levels: ThreatLevels, given: int = 0) -> int:

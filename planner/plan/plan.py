@@ -126,11 +126,12 @@ class Plan:
         """What its robots bear, and have borne."""
         if self.settings is None:
             return self.bears
-        begun = () if self.state is None or self.settings.wear == 1 else self.state.exposures
+        begun = () if self.state is None or self.settings.weibull_shape == 1 else self.state.exposures
         return self.settings.bearing(begun)
 
     def of_robots(self, **what: Any) -> Plan:
-        """The same plan with another `wear` or `susceptibility`, which no decision knows. Raises PlanError."""
+        """The same plan with another `weibull_shape` or `hazard_multiplier`, which no decision knows. Raises
+        PlanError."""
         settings = replace(self.settings or self._own, **what)
         settings.check()
         settings.check_team(len(self.robots))
@@ -139,7 +140,9 @@ class Plan:
     @property
     def _own(self) -> Settings:
         """The default settings, but for what the robots of paths alone bear."""
-        return Settings(wear=self.bears.shape, susceptibility=self.bears.susceptibility, types=self.bears.types)
+        return Settings(
+            weibull_shape=self.bears.shape, hazard_multiplier=self.bears.hazard_multiplier, types=self.bears.types
+        )
 
     @property
     def is_foreign(self) -> bool:
@@ -149,7 +152,7 @@ class Plan:
     @property
     def plan_for(self) -> str | None:
         """The loop that it was planned for; None: another planner knows."""
-        return "closed" if self.settings is not None else "open" if self.for_open_loop else None
+        return "closed_loop" if self.settings is not None else "open_loop" if self.for_open_loop else None
 
     @property
     def usual_loop(self) -> Literal["open", "closed"]:
@@ -283,7 +286,7 @@ class Plan:
             "areas": [area_of(area) for area in self.areas],
             "areas_added": [area_of(area) for area in self.areas_added],
             "notes": list(self.notes),
-            **({"plan_for": "open"} if self.for_open_loop else {}),
+            **({"plan_for": "open_loop"} if self.for_open_loop else {}),
             **(self.bears.to_json() if self.is_foreign else {}),
             **({"state": self.state.to_json()} if self.state is not None else {}),
         }

@@ -21,6 +21,7 @@ from planner.files import read_json
 from planner.plan.plan import FORMAT, VERSION, Area, Leg, Plan, RobotPlan
 from planner.plan.reading import at, check_map, check_partition, read_cells
 from planner.plan.state_file import parse_state
+from planner.renamed import LOOPS
 from planner.settings import BEARING, KEPT, POLICY, SETTINGS, Settings
 from planner.simulator.codes import NO_ROBOT, Outcome
 from planner.tally import OF_CLOSED_LOOP, WORDS_OF_0_3
@@ -150,7 +151,7 @@ def _saved_foreign_plan(keys: dict[str, Key], entries: list[dict[str, Key]], wor
     plan = _foreign_plan(paths, keys, world)
     if "plan_for" not in keys or keys["plan_for"].value is None:
         return plan
-    keys["plan_for"].choice(("open",))
+    keys["plan_for"].choice(("open_loop",), LOOPS)
     return replace(plan, for_open_loop=True, notes=tuple(dict.fromkeys(_notes(keys) + plan.notes)))
 
 

@@ -31,7 +31,7 @@ class RobotState:
         cell: where it is. status: one of STATUSES. area: its area's id, or NO_AREA.
         ahead: int64, the cells of its path still to enter, the next one first.
         to_do: int64, the cells that its coverage path has still to reach, rising.
-        moves: that it has made. held: kept from areas at risk (`reserve`).
+        moves: that it has made. held: kept from areas at risk (`risk_cap`).
         exposure: that it has borne, in units of 2**-32 nat; None: not known.
         home: the cell where it started, None: not known. turned: it has turned for home (SPEC section 19).
     """

@@ -1,6 +1,7 @@
 """Which area does a robot take next, and when does it change its mind? Rules; plain arithmetic.
 
-A rule is stated once, here, and followed by every engine; the limits on a team (`reserve`, `worth`) and the order of
+A rule is stated once, here, and followed by every engine; the limits on a team (`risk_cap`, `robot_value`) and the
+order of
 the cells within an area (`in_area`) likewise. No NumPy and no JAX: a rule's numbers may be Python's, Numba's or JAX's.
 """
 

@@ -24,9 +24,9 @@ class Rule:
             cells *still* unvisited, leg by leg. Otherwise: its cheapest cell, visited or not, and a path once computed
             is driven to its end (SPEC section 5).
         looks_again: on its way, before each dangerous cell, the robot compares its area with the unassigned ones.
-        breaks_off: it looks again while it covers too, and is then also held by `reserve`. Needs `looks_again`.
+        breaks_off: it looks again while it covers too, and is then also held by `risk_cap`. Needs `looks_again`.
         looks_ahead: it asks what areas would show (`Offer.frontier`), which takes time; the robots are attentive.
-        limited: `reserve` and `worth` may go with it.
+        limited: `risk_cap` and `robot_value` may go with it.
         nearest: the order is (level, cost): engines may search for the nearest area of the least level.
         by_price: the order is (C / U, d), those of U = 0 last: engines may leave out areas for which bounds of C tell
             that they come later.

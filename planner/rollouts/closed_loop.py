@@ -15,6 +15,7 @@ from planner.errors import PlanError
 from planner.mrac.problem import Problem, check_every_visit, ready_loop
 from planner.plan.plan import Area, Plan, RobotPlan, last_move
 from planner.plan.state import MissionState
+from planner.renamed import names_of_0_3
 from planner.rollout_sampling import check_counters
 from planner.rollouts.loop import NO_COUNTS, ClosedLoop, known_cells, purpose_of
 from planner.rollouts.runners import Runner, on_threads, run_sets, singles_of
@@ -109,7 +110,7 @@ def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool, state
     width = problem.world.shape[1]
     said = {
         "world": problem.world.luck_sha256,
-        "settings": problem.settings.to_json(),
+        "settings": names_of_0_3(problem.settings.to_json()),
         "areas": [[area.level, area.robot, area.cells.tolist()] for area in areas],
         "starts": [divmod(cell, width) for cell in problem.starts.tolist()],
         "max_steps": problem.max_steps,

@@ -91,7 +91,7 @@ def closed_loop_gradient(
     if not plan.bearing.is_plain:
         raise PlanError(
             f"the closed loop's gradient presumes that the map's p holds for every visit; here: {plan.bearing.said}",
-            fix="leave `wear`, `susceptibility` and `types` out",
+            fix="leave `weibull_shape`, `hazard_multiplier` and `types` out",
         )
     given = world.threat if p is None else np.asarray(p, dtype=np.float32)
     if given.shape != world.shape:

@@ -31,6 +31,7 @@ from planner.arguments import BLOCK, MAX_STEP, argument
 from planner.errors import PlanError, UsageError
 from planner.failure_model import Bearing, least_word
 from planner.plan.plan import Plan, entries, last_move
+from planner.renamed import names_of_0_3
 from planner.rollouts.open_loop_events import (
     WORD_BITS,
     Entries,
@@ -193,7 +194,7 @@ def _find_entries(paths: list[NDArray[np.int64]], world: World, threats: list[ND
 def _identity(world: World, paths: list[NDArray[np.int64]], bearing: Bearing) -> str:
     digest = hashlib.sha256(world.luck_sha256.encode())
     if not bearing.is_plain:
-        digest.update(json.dumps(bearing.to_json()).encode())
+        digest.update(json.dumps(names_of_0_3(bearing.to_json())).encode())
     for path in paths:
         digest.update(len(path).to_bytes(8, "little"))
         digest.update(np.ascontiguousarray(path, dtype="<i8").tobytes())

@@ -453,7 +453,7 @@ class RobotNow:
 
     @property
     def held(self) -> bool:
-        """True if the cap on robots at risk (`reserve`) keeps it from areas with threats, until it gets an area."""
+        """True if the cap on robots at risk (`risk_cap`) keeps it from areas with threats, until it gets an area."""
         return bool(self._me["held"])
 
     @property
@@ -599,7 +599,7 @@ def state_of(run: SingleRun, problem: Problem, cumulative_hazard: Sequence[int] 
     settings.check_not_charged("the state of a mission")
     settings.check_alike("the state of a mission")
     known, home, cells = None, problem.home, loop.cells
-    if cumulative_hazard is not None and settings.wear != 1:
+    if cumulative_hazard is not None and settings.weibull_shape != 1:
         known = np.minimum(cumulative_hazard, settings.bearing().most(loop.robots)).tolist()
     area_of, visited, areas = run.area_of, run.visited, list[AreaState]()
     owner = {int(robot.area): robot.number for robot in run.robots if robot.on_its_way}

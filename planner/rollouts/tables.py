@@ -502,7 +502,7 @@ def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables, *, i
     """
     rule, settings, unknown = problem.rule, problem.settings, problem.unknown
     ahead = slice(None if rule.looks_ahead and (unknown is None or unknown.looks) else 0)
-    alive = range(len(problem.starts) + 1 if settings.reserve is not None else 0)
+    alive = range(len(problem.starts) + 1 if settings.risk_cap is not None else 0)
     is_own = RULES.get(rule.name) is not rule
     return Policy(
         looks_again=rule.looks_again,
@@ -514,8 +514,8 @@ def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables, *, i
         danger=dangerous(problem, cells),
         cells=problem.costs.size,
         theta=problem.theta,
-        worth=settings.worth is not None,
-        most=np.array([most_at_risk(settings.reserve or 1.0, robots) for robots in alive], dtype=np.int64),
+        robot_value=settings.robot_value is not None,
+        most=np.array([most_at_risk(settings.risk_cap or 1.0, robots) for robots in alive], dtype=np.int64),
         value=np.zeros(0, dtype=np.int64) if problem.value is None else problem.value[cells],
         scale=problem.scale,
         beyond=problem.beyond,

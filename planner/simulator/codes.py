@@ -37,7 +37,7 @@ class Outcome(IntEnum):
     END_OF_PATHS = 4, "ends with its paths"
     """Open loop: robots are alive at the end of their paths, with cells left."""
     NOT_WORTH_THE_RISK = 5, "ends because the rest is not worth the risk"
-    """Closed loop: none moves on, though a robot alive could reach an area that nobody has (`worth`)."""
+    """Closed loop: none moves on, though a robot alive could reach an area that nobody has (`robot_value`)."""
     ENDED_BY_OPERATOR = 6, "is ended by its operator"
     """A mission under way that a command ended."""
     DEADLINE = 7, "is cut off at the deadline"

@@ -366,14 +366,14 @@ def is_full(t, p, s, robot):
 
 @rare_kernel
 def has_to_wait(t, p, s, w, robot, area, cost):
-    """Whether the robot is held from an area that it would be allocated (`reserve`)."""
+    """Whether the robot is held from an area that it would be allocated (`risk_cap`)."""
     mine = offer_of(t, p, s, robot, area, cost)
     if len(p.most) == 0 or not is_dangerous(mine, p.cells):
         return False
     if is_full(t, p, s, robot):
         return True
     for other in range(len(s.robots)):
-        # One that waits, or will without danger, and would take a better offer goes first (`reserve`).
+        # One that waits, or will without danger, and would take a better offer goes first (`risk_cap`).
         rests = s.robots[other].doing == IDLE or holds(s.waiting, other)
         if p.breaks_off and has_area(s.robots, other):
             rests = not is_at_risk(t, p, s, other)

@@ -53,7 +53,7 @@ class Policy(NamedTuple):
     danger: NDArray[np.bool_]
     cells: int
     theta: int
-    worth: bool
+    robot_value: bool
     most: NDArray[np.int64]
     value: NDArray[np.int64]
     scale: int

@@ -115,7 +115,7 @@ def share_or_rest(t, p, s, w, log, robot):
             return NONE
         moves(t, s, robot)
         return 1
-    if p.worth and not s.robots[robot].held and s.robots[robot].doing != DONE:
+    if p.robot_value and not s.robots[robot].held and s.robots[robot].doing != DONE:
         area, target, _ = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(False))
         if area != NONE:
             note(log, s, robot, REFUSED_EVENT, area, target)

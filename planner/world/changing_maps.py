@@ -90,7 +90,7 @@ def read_phases(keys: dict[str, Key], world: World, ground: Ground) -> World:
         return with_phases(replace(world, notes=tuple(notes)), pairs, plan_on)
 
 
-# Worlds whose maps may be wrong, made from arrays, or from a scenario's keys `hazard` and `uncertain`.
+# Worlds whose maps may be wrong, made from arrays, or from a scenario's keys `latent_hazard` and `map_uncertainty`.
 #
 # Each is a world whose `threat` is what robots plan on, and whose `doubt` says what is drawn
 # (`planner.world.uncertain_maps`).
@@ -115,7 +115,7 @@ def with_hazard(world: World, kind: str, q: ArrayLike, h: ArrayLike = 1.0, learn
     Other hazards are replaced. Raises WorldError for chances that are none, and beside all else that is not known, or
     types of robots.
     """
-    check_alone(world, "hazard", over=Hazard)
+    check_alone(world, "latent_hazard", over=Hazard)
     if learn and kind == "independent":
         problem = "robots learn nothing of hazards that are drawn anew for every visit"
         raise WorldError(problem, source=world.source, expected="persistent or consumed ones", fix="leave `learn` out")
@@ -174,7 +174,7 @@ def _frozen(threat: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def read_hazard(key: Key, world: World, ground: Ground) -> World:
-    """The world of a scenario with `hazard: {kind, q, h, learn}`; by default q is what `threats` say, and h is 1."""
+    """The world of a scenario with `latent_hazard: {kind, q, h, learn}`; default: q by `threats`, h 1."""
     keys = key.mapping(("kind",), optional=("q", "h", "learn"))
     kind = keys["kind"].choice(("independent", *HAZARDS))
     learn = keys["learn"].value if "learn" in keys else False
@@ -210,7 +210,7 @@ def _chances(key: Key, world: World, ground: Ground) -> tuple[ArrayLike, tuple[s
 
 
 def read_uncertain(key: Key, world: World, ground: Ground, combine: str) -> World:
-    """The world of a scenario with `uncertain: {maps or spread, plan_on}`; maps combine with the `threats`."""
+    """The world of a scenario with `map_uncertainty: {maps or spread, plan_on}`; maps combine with the `threats`."""
     keys = key.mapping(optional=("maps", "rule", "spread", "plan_on"))
     if ("maps" in keys) == ("spread" in keys):
         raise key.wrong("either maps or spread")

@@ -1,4 +1,4 @@
-"""Worlds whose robots are not told the map, made from arrays, or from a scenario's keys `truth`, `prior`, `sense`."""
+"""Worlds whose robots do not know the map, from arrays or a scenario's `true_map`, `prior_map`, `sensor_range`."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from planner.world.world import World, check_starts
 
 Obstacles = Literal["unknown", "known"]
 OBSTACLES: tuple[Obstacles, ...] = ("unknown", "known")
-KEYS = ("truth", "prior", "sense")
+KEYS = ("true_map", "prior_map", "sensor_range")
 DETECTS = ("detect", "false_alarm")
-"""What a `sense` says besides where robots learn about hazards."""
+"""What a `sensor_range` says besides where robots learn about hazards."""
 Given = float | Sense | Mapping[str, Any]
 """A range in cells, or `{range, sight}`."""
 
@@ -48,7 +48,7 @@ def with_prior(world: World, p: float, obstacles: Obstacles = "unknown", sense: 
     is drawn. Raises WorldError.
     """
     check_word("obstacles", obstacles, OBSTACLES, WorldError, world.source)
-    PROBABILITY.check("prior", p, WorldError, world.source)
+    PROBABILITY.check("prior_map", p, WorldError, world.source)
     truth, nowhere = world.met, np.zeros(world.shape, dtype=np.bool_)
     belief = np.where(~world.free if obstacles == "known" else nowhere, np.nan, p).astype(np.float32)
     return _knowing(world, belief, truth, sense)
@@ -63,8 +63,8 @@ def with_sense(world: World, sense: Given) -> World:
         return replace(world, doubt=replace(world.learned_hazard, detector=make_detector(sense, world.source)))
     if world.knowledge is None and not isinstance(world.doubt, Uncertain):
         problem = "robots are told the map, and there is nothing to sense"
-        hazard = "give the hazard `learn: true`" if isinstance(world.doubt, Hazard) else ""
-        fix = hazard or "give a `truth`, a `prior`, or `uncertain` maps"
+        hazard = "give `latent_hazard` the key `learn: true`" if isinstance(world.doubt, Hazard) else ""
+        fix = hazard or "give a `true_map`, a `prior_map`, or `map_uncertainty`"
         raise WorldError(problem, source=world.source, fix=fix)
     return _knowing(world, world.threat, world.met, sense)
 
@@ -84,8 +84,8 @@ def _check_plain(world: World) -> None:
 def _knowing(world: World, belief: NDArray[np.float32], truth: NDArray[np.float32], sense: Given) -> World:
     if world.doubt is not None and not isinstance(world.doubt, Uncertain):
         problem = f"robots would have to learn from what happens to them; here: {world.doubt.said}"
-        named = "phases" if world.phases is not None else "hazard" if world.movers is None else "movers"
-        fix = f"leave `{named}` out, or `truth`, `prior` and `sense`"
+        named = "phases" if world.phases is not None else "latent_hazard" if world.movers is None else "moving_threats"
+        fix = f"leave out `{named}`, or `true_map`, `prior_map` and `sensor_range`"
         raise WorldError(problem, source=world.source, fix=fix)
     looks = make_sense(sense, world.source)
     if isinstance(world.doubt, Uncertain) and not world.doubt.whole and looks.range > 0:
@@ -98,26 +98,26 @@ def _knowing(world: World, belief: NDArray[np.float32], truth: NDArray[np.float3
 
 
 def read_knowledge(keys: dict[str, Key], world: World, load: Callable[[Path], World]) -> World:
-    """The world of a scenario with what its keys `truth`, `prior`, `sense` say; `load`: reads any input file."""
+    """The world of a scenario with its keys `true_map`, `prior_map`, `sensor_range`; `load`: reads any input file."""
     named = [name for name in KEYS if name in keys]
     if not named:
         return world
-    if "truth" in keys:
-        truth = load(_plain_input(keys["truth"]))
-        with keys["truth"].naming():
+    if "true_map" in keys:
+        truth = load(_plain_input(keys["true_map"]))
+        with keys["true_map"].naming():
             belief = world.threat
             world = with_truth(world, truth, inf)
-            if "prior" in keys:  # the scenario's own map is neither believed nor true
+            if "prior_map" in keys:  # the scenario's own map is neither believed nor true
                 world = replace(world, threat=belief)
-    if "prior" in keys:
-        prior = keys["prior"].mapping(("p",), optional=("obstacles",))
+    if "prior_map" in keys:
+        prior = keys["prior_map"].mapping(("p",), optional=("obstacles",))
         obstacles: Any = prior["obstacles"].choice(OBSTACLES) if "obstacles" in prior else OBSTACLES[0]
-        with keys["prior"].naming():
+        with keys["prior_map"].naming():
             world = with_prior(world, prior["p"].number(PROBABILITY), obstacles, inf)
-    key = keys.get("sense", keys[named[0]])
+    key = keys.get("sensor_range", keys[named[0]])
     with key.naming():
         further = () if world.learned_hazard is None else DETECTS
-        return with_sense(world, _sense(keys["sense"], further) if "sense" in keys else 0)
+        return with_sense(world, _sense(keys["sensor_range"], further) if "sensor_range" in keys else 0)
 
 
 def _plain_input(key: Key) -> Path:
@@ -159,7 +159,7 @@ def as_planned(world: World, starts: ArrayLike) -> World:
     return replace(world, threat=threat, knowledge=None, doubt=None)
 
 
-# Worlds with threats that move, made from movers, or from a scenario's key `movers` (`planner.world.moving_threats`).
+# Worlds with moving threats, from arrays or a scenario's key `moving_threats` (`planner.world.moving_threats`).
 
 AT, STAYS = "[row, col], whole numbers", "a chance to stay, 0 to 1"
 PlannedOn = Literal["patrols", "joined", "own"]
@@ -190,11 +190,11 @@ def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_
     """
     chosen = PATROLS if plan_on is None else plan_on
     check_word("plan_on", chosen, PLAN_ON, WorldError, world.source)
-    check_alone(world, "movers")
+    check_alone(world, "moving_threats")
     members: list[Mover] = []
     own = world.threat
     for number, one in enumerate(movers):
-        given = Key(one, f"movers[{number}]", world.source, WorldError)
+        given = Key(one, f"moving_threats[{number}]", world.source, WorldError)
         if isinstance(one, Mover):
             members.append(one)
         elif _is_of_the_map(given):
@@ -226,7 +226,8 @@ def as_before(world: World) -> World:
 
 
 def read_movers(key: Key, plan_on: Key | None, world: World) -> World:
-    """The world of a scenario with `movers: [{walk: s | patrol: [[r, c], ...], start, h, count}, ...]`, `plan_on`."""
+    """The world of a scenario with `moving_threats: [{walk: s | patrol: [[r, c], ...], start, h, count}, ...]`,
+    `plan_on`."""
     items = key.items("a list of movers, each {walk or patrol, h}")
     members = [one for item in items for one in ([item.value] if _is_of_the_map(item) else _read_each(item, world))]
     chosen: Any = None if plan_on is None else plan_on.choice(PLAN_ON)

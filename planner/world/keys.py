@@ -20,6 +20,7 @@ from planner.arguments import ANY, Numbers, did_you_mean, whole
 from planner.errors import InputError, ScenarioError, WorldError
 from planner.files import printable, why_no_file
 from planner.formatting import counted, seconds_of
+from planner.renamed import warn_renamed, with_new_names
 from planner.settings import Setting
 
 MAX_YAML_BYTES = 2**18
@@ -80,17 +81,18 @@ class Key:
         allowed = [*required, *optional, *defaults]
         if not isinstance(self.value, dict):
             raise self.wrong(f"keys ({', '.join(allowed)})")
-        unknown = [name for name in self.value if name not in allowed]
+        given = with_new_names(self.value, allowed, self.source)
+        unknown = [name for name in given if name not in allowed]
         dot = f"{self.path}." if self.path else ""
         if unknown and strict:
             problem, fix = f"unknown key `{dot}{str(unknown[0])[:60]}`", did_you_mean(unknown[0], allowed) or self.fix
             raise self.error(problem, source=self.source, expected=f"one of {', '.join(allowed)}", fix=fix)
         for name in required:
-            if name not in self.value:
+            if name not in given:
                 close = difflib.get_close_matches(name, [str(other) for other in unknown], n=1)
                 fix = f"did you mean it by {close[0]!r}?" if close else ""
                 raise self.error(f"key `{dot}{name}` is missing", source=self.source, fix=fix or self.fix)
-        values = {**defaults, **self.value}
+        values = {**defaults, **given}
         return {name: self._child(values[name], f"{dot}{name}") for name in allowed if name in values}
 
     def items(self, expected: str, least: int = 1, exactly: int = 0) -> list[Key]:
@@ -112,7 +114,10 @@ class Key:
     def setting(self, setting: Setting) -> Any:
         """A value of one of the planner's settings: of one a robot a list too, of a step a time as `45min` too."""
         if setting.words and not setting.places:
-            return self.choice(setting.words)
+            word = self.choice(setting.words, setting.before)
+            if word != self.value:
+                warn_renamed(f"`{self.path}: {self.value}`", f"`{word}`", self.source)
+            return word
         if setting.time and isinstance(self.value, str) and seconds_of(self.value) is not None:
             return self.value
         value = tuple(self.value) if isinstance(self.value, list) else self.value
@@ -133,7 +138,9 @@ class Key:
     def choice(self, options: Iterable[str], before: Mapping[str, str] | None = None) -> str:
         """One of `options`; `before`: words of earlier releases that are read too, with what they are now."""
         options = list(options)
-        value = before[self.value] if before and isinstance(self.value, str) and self.value in before else self.value
+        value = self.value
+        if before and isinstance(value, str) and value in before:
+            value = before[value]
         if not isinstance(value, str) or value not in options:
             raise self.wrong(" or ".join(options), did_you_mean(self.value, options))
         return value

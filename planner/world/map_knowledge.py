@@ -61,7 +61,9 @@ class Sense:
         """
         if len(cells) * min(4 * self.square + 1, free.size) > MOST_SEEN:
             problem = f"{len(cells)} cells from which {self.said.removeprefix('robots see ')} is seen"
-            raise WorldError(problem, expected=f"at most {MOST_SEEN} cells in range in all", fix="sense less far")
+            raise WorldError(
+                problem, expected=f"at most {MOST_SEEN} cells in range in all", fix="give a smaller sensor_range"
+            )
         height, width = free.shape
         rows, cols = np.divmod(cells, width)
         who, what = [], []
@@ -157,9 +159,11 @@ def make_sense(given: float | Sense | Mapping[str, Any], source: str) -> Sense:
     keys: Json = dict(given) if isinstance(given, Mapping) else {"range": given}
     cells, sight = keys.pop("range", None), keys.pop("sight", False)
     if keys or not isinstance(sight, bool | np.bool_):
-        raise WorldError(f"sense is {given!r:.60}", source=source, expected="a range, or {range, sight: true or false}")
+        raise WorldError(
+            f"sensor_range is {given!r:.60}", source=source, expected="a range, or {range, sight: true or false}"
+        )
     if not (cells == inf or (RANGE.accepts(cells) and not 0 < cells < 1)):
-        raise WorldError(f"sense is {cells!r:.60}", source=source, expected=RANGE.expected)
+        raise WorldError(f"sensor_range is {cells!r:.60}", source=source, expected=RANGE.expected)
     return Sense(float(cells), bool(sight))
 
 
@@ -240,7 +244,7 @@ def make_detector(given: object, source: str) -> Detector:
     """A checked detector from `{range, sight, detect, false_alarm}`. Raises WorldError."""
     if not isinstance(given, Mapping) or not {"detect", "false_alarm"} <= given.keys():
         expected = "{range, detect, false_alarm}: hazards are not seen, detectors tell of them"
-        raise WorldError(f"sense is {given!r:.60}", source=source, expected=expected)
+        raise WorldError(f"sensor_range is {given!r:.60}", source=source, expected=expected)
     detect, false_alarm = given["detect"], given["false_alarm"]
     sense = make_sense({name: given[name] for name in given if name not in ("detect", "false_alarm")}, source)
     CHANCE.check("detect", detect, WorldError, source)

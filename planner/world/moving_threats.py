@@ -174,7 +174,7 @@ def checked(movers: Movers, source: str, *, named: bool = True) -> Movers:
         expected = f"1 to {MOST_MOVERS}"
         raise WorldError(counted(len(movers.members), "mover"), source=source, expected=expected)
     for number, mover in enumerate(movers.members):
-        name = f"movers[{number}]"
+        name = f"moving_threats[{number}]"
         for chance, value in (("h", mover.hit), ("walk", mover.stay)):
             CHANCE.check(f"{name}.{chance}", value, WorldError, source)
         problem = _misplaced(movers, mover)

@@ -19,6 +19,7 @@ from planner.arguments import ANY, Numbers, argument, whole
 from planner.errors import InputError, MapError, ScenarioError, WorldError
 from planner.files import Json, atomic_write, check_file
 from planner.formatting import SPEEDS, STEP_SECONDS, TURNS, Pace
+from planner.renamed import with_new_names
 from planner.settings import SETTINGS as KNOWN
 from planner.settings import Settings
 from planner.world.changing_maps import read_hazard, read_phases, read_uncertain
@@ -145,10 +146,10 @@ def _seconds_in(keys: dict[str, Key], world: World) -> float | None:
 
 DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 """Keys of a scenario file that are always there."""
-IN_DOUBT = ("hazard", "uncertain", "movers", "phases")
+IN_DOUBT = ("latent_hazard", "map_uncertainty", "moving_threats", "phases")
 """Keys that say by what else than the threats robots are stopped, one of them at most."""
-SETTINGS = ("levels", "policy", "reserve", "worth", "plan_for", "wear", "deadline", "in_area")
-OF_ROBOTS = ("range", "susceptibility", "return_to", "recharge", "types", "steps_per_move", "radio")
+SETTINGS = ("levels", "policy", "risk_cap", "robot_value", "plan_for", "weibull_shape", "deadline", "in_area")
+OF_ROBOTS = ("range", "hazard_multiplier", "return_to", "recharge", "types", "steps_per_move", "radio")
 """Settings of the planner that a scenario file may name, and those that stand under its key `robots`."""
 OPTIONAL = (
     "cell_size", "datum", "keepout", "robots", *IN_DOUBT, "plan_on", "value", "detect", *KNOWLEDGE,
@@ -340,8 +341,8 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
     )  # fmt: skip
     world = replace(world, sources=apart, measured=ground.grid.measured)
     world = _in_doubt(replace(world, pace=pace_in(keys, world)), ground, keys)
-    if "wear" in keys:
-        keys["wear"] = keys["wear"].mapping(("shape",))["shape"]
+    if "weibull_shape" in keys and isinstance(keys["weibull_shape"].value, dict):  # 0.3's `wear: {shape: 2}`
+        keys["weibull_shape"] = keys["weibull_shape"].mapping(("shape",))["shape"]
     asked = _settings(SETTINGS, keys)
     world = replace(world, team=Team(settings=asked, **reported(keys, world)))
     world = _of_types(_in_the_dark(world, ground, keys), ground, matrix, by_type)
@@ -357,17 +358,19 @@ def _in_doubt(world: World, ground: Ground, keys: dict[str, Key]) -> World:
             problem = "brings hazards, uncertain maps, movers or phases along, which nothing can be added to"
             raise MapError(problem, source=ground.grid.source, fix="use the world file by itself, as it is")
         return replace(world, doubt=ground.grid.doubt)
-    if "plan_on" in keys and not {"movers", "phases"} & keys.keys():
-        raise keys["plan_on"].wrong("none without movers or phases", "of uncertain maps it stands under `uncertain`")
+    if "plan_on" in keys and not {"moving_threats", "phases"} & keys.keys():
+        raise keys["plan_on"].wrong(
+            "none without moving_threats or phases", "of uncertain maps it is a key of `map_uncertainty`"
+        )
     if len(named) > 1:
         raise keys[named[1]].wrong(f"none beside {named[0]}", "leave one of the two out")
-    if "movers" in keys:
-        return read_movers(keys["movers"], keys.get("plan_on"), world)
+    if "moving_threats" in keys:
+        return read_movers(keys["moving_threats"], keys.get("plan_on"), world)
     if "phases" in keys:
         return read_phases(keys, world, ground)
-    if "hazard" in keys:
-        return read_hazard(keys["hazard"], world, ground)
-    return read_uncertain(keys["uncertain"], world, ground, keys["combine"].value) if named else world
+    if "latent_hazard" in keys:
+        return read_hazard(keys["latent_hazard"], world, ground)
+    return read_uncertain(keys["map_uncertainty"], world, ground, keys["combine"].value) if named else world
 
 
 def _in_the_dark(world: World, ground: Ground, keys: dict[str, Key]) -> World:
@@ -455,7 +458,6 @@ def said(team: dict[str, Any], settings: Settings, pace: Pace) -> dict[str, Any]
     usual = Settings()
     given = {name: value for name, value in vars(settings).items() if value != getattr(usual, name)}
     keys = {name: given[name] for name in SETTINGS if name in given}
-    keys |= {"wear": {"shape": settings.wear}} if "wear" in given else {}
     keys |= {"step": {"seconds": pace.seconds}} if pace else {}
     keys |= {"turn": pace.turn} if pace.turn else {}
     return {"robots": team | {name: given[name] for name in OF_ROBOTS if name in given}} | keys
@@ -476,11 +478,12 @@ def write_scenario(
     """
     top = read_yaml(source).value if source.suffix.lower() in YAML else None
     if isinstance(top, dict) and "map" in top:
-        keys = _moved(top, source.parent, out.parent)
+        keys = _moved(with_new_names(top, OPTIONAL, source), source.parent, out.parent)
     else:
         keys = {"map": {"file": _moved(source.name, source.parent, out.parent)}}
         keys |= {} if cell_size is None else {"cell_size": cell_size}
-    team = {name: key for name, key in keys.pop("robots", {}).items() if name not in (*PLACED, *OF_ROBOTS, "speed")}
+    robots = with_new_names(keys.pop("robots", {}), OF_ROBOTS, source)
+    team = {name: key for name, key in robots.items() if name not in (*PLACED, *OF_ROBOTS, "speed")}
     keys = {name: key for name, key in keys.items() if name not in (*SETTINGS, *TIME_KEYS)}
     keys |= said({"starts": starts.tolist()} | team, settings, pace)
     with atomic_write(out) as stream:

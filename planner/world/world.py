@@ -241,7 +241,9 @@ class World:
         """
         if self.doubt is not None:
             problem = f"{what} presumes one known map, every visit drawn for itself; here: {self.doubt.said}"
-            named = {Movers: "`movers`", Phases: "`phases`"}.get(type(self.doubt), "`hazard` and `uncertain`")
+            named = {Movers: "`moving_threats`", Phases: "`phases`"}.get(
+                type(self.doubt), "`latent_hazard` and `map_uncertainty`"
+            )
             raise WorldError(problem, source=self.source, fix=f"leave {named} out{or_else}")
         self.check_told(what, or_else)
         if self.types is not None:
@@ -258,7 +260,9 @@ class World:
             raise WorldError(problem, source=self.source, fix="give `plan_on: first` or `worst`" + or_else)
         if self.knowledge is not None:
             problem = f"{what} presumes a map that robots are told; here: {self.knowledge.said}"
-            raise WorldError(problem, source=self.source, fix="leave `truth`, `prior` and `sense` out" + or_else)
+            raise WorldError(
+                problem, source=self.source, fix="leave `true_map`, `prior_map` and `sensor_range` out" + or_else
+            )
 
     def check_alike(self, what: str) -> None:
         """Raise WorldError if the map says what its cells are worth, or show: to `what` they are all alike."""

@@ -72,7 +72,7 @@ class Advice(Output):
         coverage, losses = tally_mean(tally, "visited", 1.0 / tally.accessible), tally_mean(tally, "lost")
         if run.closed is not None and run.closed.alive is not None:  # as the headline says them
             coverage, losses = exactly(run.closed.visited.value / tally.accessible), exactly(robots - run.closed.alive)
-        now = Setting(settings.rule.name, settings.reserve, settings.worth, settings.deadline)
+        now = Setting(settings.rule.name, settings.risk_cap, settings.robot_value, settings.deadline)
         try:
             points = quick_points(
                 run.world, run.plan.starts, settings, choices, losses=losses.mean, kept=run.kept,
@@ -157,7 +157,7 @@ class Advice(Output):
         kept = [point for point, is_best in zip(self.points, best, strict=True) if is_best]
         kept.sort(key=lambda point: (point.losses.mean, point.coverage.mean))
         lost, covered = [point.losses.mean for point in kept], [point.coverage for point in kept]
-        curve = Series.of("per_cell by worth, and the policies", lost, covered)
+        curve = Series.of("per_cell by robot value, and the policies", lost, covered)
         mark = Series.of(f"this plan ({setting})", [losses.mean], [coverage], kind="points", colour=3)
         return Chart(
             "What coverage costs", (curve, mark), "robots lost on average", "visited, % of the accessible cells",
@@ -217,7 +217,7 @@ def _has_another(run: Run) -> bool:
         run.choices.loop == "closed"
         and settings is not None
         and run.plan.state is None
-        and settings.plan_for == "closed"
+        and settings.plan_for == "closed_loop"
         and settings.rule.name in RULES
         and isinstance(settings.in_area, str)
     )

@@ -44,12 +44,12 @@ LEAST = 1024
 
 def parse_ranges(text: str | None) -> tuple[float, ...]:
     """The ranges of "0,1,2,inf"; raises UsageError for what is no such list."""
-    found = numbers_of("sense", text, 'ranges in cells, such as "0,1,2,inf"') if text is not None else ()
+    found = numbers_of("sensor_range", text, 'ranges in cells, such as "0,1,2,inf"') if text is not None else ()
     if len(found) > MOST_RANGES:
-        raise UsageError(f"{argument('sense')} has {len(found)} ranges", expected=f"{MOST_RANGES} at most")
+        raise UsageError(f"{argument('sensor_range')} has {len(found)} ranges", expected=f"{MOST_RANGES} at most")
     for one in found:
         if one != inf:
-            RANGE.check("sense", one)
+            RANGE.check("sensor_range", one)
     return found
 
 
@@ -100,8 +100,10 @@ class Knowledge(Output):
     def check(cls, asked: Sequence[float], world: World) -> None:
         if world.knowledge is None:
             with_sense(world, 0)  # says why there is nothing to sense
-            fix = "give a `truth` or a `prior`" if world.doubt is None else "give the scenario `sense: 0`"
-            raise UsageError(argument("sense", ",".join(map(str, asked))), expected="a map that robots learn", fix=fix)
+            fix = "give a `true_map` or a `prior_map`" if world.doubt is None else "give the scenario `sensor_range: 0`"
+            raise UsageError(
+                argument("sensor_range", ",".join(map(str, asked))), expected="a map that robots learn", fix=fix
+            )
         for far in asked:
             seeing(world, far)
 
@@ -272,7 +274,7 @@ class Experience(Output):
     @classmethod
     def check(cls, asked: Any, world: World) -> None:
         if world.learned_hazard is None:
-            fix = "give the scenario `hazard: {..., learn: true}`"
+            fix = "give the scenario `latent_hazard: {..., learn: true}`"
             raise UsageError(argument("experience", asked), expected="robots that learn about hazards", fix=fix)
 
     @classmethod
