@@ -762,7 +762,7 @@ def test_what_robots_are_not_told(folder: Path) -> None:
         ({"true_map": "a.map", "sensor_range": 1}, r"the truth has shape \[4, 7\]"),
         (
             {"prior_map": {"p": 0.1}, "latent_hazard": {"kind": "persistent", "q": "threats"}},
-            "leave `latent_hazard` out",
+            "leave out `latent_hazard`",
         ),
         ({"true_map": "true.csv", "sensor_range": 1, "map_uncertainty": spread}, "a truth beside a map that is in doubt"),
         ({"sensor_range": 1, "map_uncertainty": {"spread": spread["spread"] | {"by": "level"}}}, "`by: common`"),
