@@ -1,8 +1,7 @@
 """mrac-jax: how much of a dangerous area will a team of robots cover before it is lost, and how sure are we?
 
-The front door of the whole house: `import mrac_jax as mrac`, then `mrac.load`, `mrac.plan`, `mrac.evaluate` and what
-else stands in `__all__`. A name is looked up when it is asked for, so that nothing is imported that nobody needs. This
-is the one file that points forward along `planner` -> `mrac_jax` -> `analysis`; nothing inside imports through it.
+The public API: `import mrac_jax as mrac`, then `mrac.load`, `mrac.plan`, `mrac.evaluate` and the other names of
+`__all__`. Each name is imported at its first use. `analysis` and `planner` import nothing through this module.
 """
 
 from __future__ import annotations
