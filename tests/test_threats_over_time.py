@@ -251,7 +251,7 @@ def test_a_scenario_and_its_world_file(tmp_path: Path) -> None:
     square = Mover(0.5, 0.0, 4, (0, 1, 4, 3))
     expected = (*[Mover(0.25, 0.5)] * 3, Mover(1.0, 0.0, 4), square, Mover(0.5, 0.0, -1, (4, 5)))
     assert world.movers.members == expected
-    assert "4 walk and 2 patrol, and destroy a robot that they meet with chance 0.25 to 1" in repr(world)
+    assert "4 walk and 2 patrol, and destroy a robot that they meet with probability 0.25 to 1" in repr(world)
     world.save(tmp_path / "w.npz")
     again = load_world_file(tmp_path / "w.npz")
     assert again.movers is not None
@@ -313,7 +313,7 @@ def test_a_plan_of_an_earlier_release_keeps_its_reading(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ("moving_threats: 3\n", r"`moving_threats` is 3; expected a list of movers"),
+        ("moving_threats: 3\n", r"`moving_threats` is 3; expected a list of moving threats"),
         ("moving_threats: [{h: 0.5}]\n", r"`moving_threats\[0\]` is .*either walk or patrol"),
         ("moving_threats: [{walk: 0.5}]\n", r"`moving_threats\[0\]\.h` is missing"),
         ("moving_threats: [{walk: 1.5, h: 0.5}]\n", r"`moving_threats\[0\]\.walk` is 1\.5; expected a chance to stay"),
