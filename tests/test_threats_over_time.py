@@ -604,7 +604,7 @@ def test_a_scenario_and_its_world_file_phases(tmp_path: Path) -> None:
         ("phases:\n- {from: 4, threats: [{raster: b.npy}]}\n", "phases: []\n", r"`phases` is \[\]; expected a list of"),
         ("map: m.npy", "map: m.npy\nplan_on: last", r"`plan_on` is 'last'; expected now or first or worst"),
         ("map: m.npy", "map: m.npy\nmoving_threats: [{walk: 1, h: 0.1}]", r"`phases` is .*none together with moving"),
-        ("map: m.npy", "map: m.npy\nprior_map: {p: 0.1}", r"here: threats that change at step 4"),
+        ("map: m.npy", "map: m.npy\nprior_map: {p: 0.1}", r"uncertainty: threats that change at step 4"),
     ],
 )
 def test_a_wrong_phase_is_one_line(tmp_path: Path, old: str, new: str, said: str) -> None:
@@ -627,7 +627,7 @@ def test_maps_and_loops_that_do_not_fit_are_refused() -> None:
         with_phases(world, [(3, plain)])
     with pytest.raises(InputError, match=r"threats known in advance.*use `plan_on: first` or `worst`"):
         make_plan(world, [[0, 0]], Settings(radio=4.0))
-    with pytest.raises(InputError, match=r"`transit=\"area\"`, legs that stay.*give `plan_on: first` or `worst`"):
+    with pytest.raises(InputError, match=r"`transit=\"area\"`, legs that stay.*use `plan_on: first` or `worst`"):
         make_plan(world, [[0, 0]], Settings(transit="area"))
     with pytest.raises(InputError, match=r"engine=.jax. with threats that change"):
         make_engine(make_plan(world, [[0, 0]]), world, Rolling(), "jax")
