@@ -154,7 +154,7 @@ WRONG = {
     "two teams": (lambda world, plan: mrac.plan(world, 2, starts=[[0, 0]] * 3), "robots=2 contradicts the 3 starts"),
     "obstacle": (
         lambda world, plan: mrac.plan(mrac.load([[0, np.nan]]), starts=[[0, 1]]),
-        "leave starts out and use robots",
+        "use robots instead of starts",
     ),
     "other map": (lambda world, plan: mrac.evaluate(mrac.load([[0, 0.1]]), plan), "plan for another map: made for 3x4"),
     "its side": (
@@ -208,7 +208,7 @@ WRONG = {
     "of a log": (lambda world, plan: mrac.load("a.mcap", topic="/map"), "`map: {file: ..., topic: ...}`"),
     "of a scenario": (
         lambda world, plan: mrac.load(WORLD, unknown="free"),
-        "scenario: `unknown: ...` beside `map: ...",
+        "scenario: `unknown: ...` next to `map: ...",
     ),
     "scenario": (lambda world, plan: mrac.load("example:terrain", cell_size=1), "leave cell_size out"),
 }

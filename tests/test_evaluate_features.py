@@ -524,7 +524,7 @@ def test_one_robot_on_a_map_that_is_too_large_is_sampled(world: World, monkeypat
 def test_a_team_is_sampled_and_said_to_be_among_movers(world: World) -> None:
     answer = mrac.evaluate(world, 2, rollouts=400)
     assert not answer.is_exact
-    assert "2 walk and 1 patrols, and destroy a robot that they meet with chance 0.1 to 0.3" in " ".join(
+    assert "2 walk and 1 patrols, and destroy a robot that they meet with probability 0.1 to 0.3" in " ".join(
         report(answer).last
     )
     assert "movers" not in mrac.evaluate(GROUND, 2, rollouts=50).to_json()

@@ -82,7 +82,7 @@ def test_the_survey_of_worlds_by_all_rules(every: int) -> None:
         try:
             plan = make_plan(one.world, one.starts, asked)
         except WorldError as error:
-            assert "too dear" in str(error)
+            assert "too expensive" in str(error)
             continue
         (run,) = play_both_ways(plan, one.world, 5, 1, first_only=one.first_only)
         assert (run.trace.events[:, 2] != EventKind.REFUSED).all() or "robot_value" in limits

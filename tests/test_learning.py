@@ -760,13 +760,13 @@ def test_bayes_rule_in_whole_numbers():
 
 def test_worlds_say_what_is_wrong_with_them_experience(tmp_path):
     world = taught([[0.2, 0.1], [0, 0]], 0.5, "persistent")
-    with pytest.raises(WorldError, match="hazards are not seen"):
+    with pytest.raises(WorldError, match="detectors, not seen"):
         with_sense(world, 2)
     with pytest.raises(WorldError, match="has no effect"):
         with_sense(world, {"range": 2, "detect": 0.1, "false_alarm": 0.1})
     with pytest.raises(WorldError, match="drawn independently"):
         with_hazard(world, "independent", 0.1, learn=True)
-    with pytest.raises(WorldError, match="robots would have to learn"):
+    with pytest.raises(WorldError, match="do not support this uncertainty"):
         with_prior(world, 0.1, sense=1)
     with pytest.raises(WorldError, match="learn: true"):
         with_sense(replace(world, doubt=replace(world.doubt, learn=False)), 1)

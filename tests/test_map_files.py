@@ -712,7 +712,7 @@ def test_a_topic_of_several_is_chosen_in_a_scenario(tmp_path: Path) -> None:
     for topic, cell in (("/map", [2, 0]), ("/costmap", [0, 3])):
         scenario.write_text(f"map: {{file: a.mcap, topic: {topic}}}\n")
         world = load_input(scenario)
-        assert obstacle(world) == [cell] and not any("is taken" in note for note in world.notes)
+        assert obstacle(world) == [cell] and not any("is used" in note for note in world.notes)
     scenario.write_text("map: {file: a.mcap, topic: /costmaps}\n")
     with pytest.raises(
         MapError, match=r"a\.mcap: holds no map on /costmaps; expected one of /costmap \(.*mean '/costmap'"

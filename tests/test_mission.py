@@ -206,7 +206,7 @@ def test_in_which_order_robots_report_in_a_step_is_all_one() -> None:
 
 def test_what_no_file_can_hold_and_no_mission_drives_is_said_at_once(tmp_path: Path) -> None:
     paths = parse_plan({"paths": [[[0, 0], [0, 1]], [[1, 0]]]}, ROW, "paths")
-    with pytest.raises(StateError, match="paths of another planner"):
+    with pytest.raises(StateError, match="robots follow an external plan"):
         Mission(ROW, paths).save(tmp_path / "now.json")
     assert not list(tmp_path.iterdir())
     unknown = with_sense(with_truth(ROW, np.where(ROW.threat > 0, 0, ROW.threat)), 1)
@@ -751,7 +751,7 @@ def test_what_is_borne_is_of_the_phase() -> None:
 def test_what_it_cannot_act_on_is_said() -> None:
     mined = with_hazard(World.create(np.zeros((2, 3))), "persistent", 0.2, learn=True)
     swept = with_sense(mined, {"range": 1, "detect": 0.9, "false_alarm": 0.1})
-    with pytest.raises(InputError, match=r"reads no detector.*say by `seen` what one tells"):
+    with pytest.raises(InputError, match=r"reads no detector.*report its readings by `seen`"):
         Mission(swept, make_plan(swept, [[0, 0]]))
 
 

@@ -242,7 +242,7 @@ def test_threats_in_the_place_of_those_of_types_are_refused(tmp_path: Path) -> N
         lambda: with_movers(world, [{"walk": 0.5, "h": 0.3}]),
     )
     for change in changes:
-        with pytest.raises(InputError, match="beside robots of the types drone, rover; expected one known map"):
+        with pytest.raises(InputError, match="together with robots of the types drone, rover; expected one known map"):
             change()
 
 

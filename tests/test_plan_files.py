@@ -914,7 +914,7 @@ def test_what_nobody_says_is_asked_for(tmp_path: Path) -> None:
     for wrong in (0, -1, float("nan"), "1"):
         with pytest.raises(UsageError, match="seconds"):
             world.with_pace(wrong)  # type: ignore[arg-type]
-    with pytest.raises(UsageError, match="how many metres a cell has"):
+    with pytest.raises(UsageError, match="the cell size is not given"):
         mrac.load(CELLS, speed=1)
     assert mrac.load(CELLS, speed=4, cell_size=2).pace == Pace(0.5)
 

@@ -443,7 +443,7 @@ def test_plan_files_know_policies_and_old_ones_are_mrac(tmp_path: Path) -> None:
     said["settings"] = {"robot_value": 4}
     with pytest.raises(PlanError, match="robot_value is 4 with policy mrac"):
         parse_plan(said, world, "p.json")
-    with pytest.raises(PlanError, match="`policy` is 'per_cell'; expected paths alone"):
+    with pytest.raises(PlanError, match="`policy` is 'per_cell'; expected paths only"):
         parse_plan({"paths": [[[0, 0]]], "policy": "per_cell"}, world, "p.json")
 
 

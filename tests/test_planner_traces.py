@@ -132,7 +132,7 @@ def test_overlapping_ids_are_an_error(first: tuple[int, int], second: tuple[int,
 
 def test_different_things_are_an_error() -> None:
     for other in (replace(EMPTY, key=tally_key("plan", "closed", 1)), replace(EMPTY, shape=(3, 2))):
-        with pytest.raises(TallyError, match="different things"):
+        with pytest.raises(TallyError, match="different plans"):
             EMPTY + other
     with pytest.raises(TallyError, match="different teams"):
         EMPTY + Tally.empty(EMPTY.key, EMPTY.shape, robots=3, accessible=5)

@@ -236,7 +236,7 @@ BAD: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "nothing ahead": (lambda data: _busy(data, "ahead", []), "nothing is ahead"),
     "not its area": (lambda data: _busy(data, "area", 999), "not its own|another or none"),
     "overlap": (lambda data: data["areas"][0].update(cells=data["areas"][1]["cells"]), "areas"),
-    "unassigned but visited": (lambda data: _swap(data, "completed", "unassigned"), "visited cells alone"),
+    "unassigned but visited": (lambda data: _swap(data, "completed", "unassigned"), "only visited cells"),
     "completed but not visited": (lambda data: _swap(data, "unassigned", "completed"), "is completed, and its cell"),
     "held nobody": (_set("held", [17]), "held"),
     "quiet too long": (_set("quiet", 2), "`quiet` is 2"),

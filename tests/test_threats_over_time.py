@@ -251,7 +251,7 @@ def test_a_scenario_and_its_world_file(tmp_path: Path) -> None:
     square = Mover(0.5, 0.0, 4, (0, 1, 4, 3))
     expected = (*[Mover(0.25, 0.5)] * 3, Mover(1.0, 0.0, 4), square, Mover(0.5, 0.0, -1, (4, 5)))
     assert world.movers.members == expected
-    assert "4 walk and 2 patrol, and destroy a robot that they meet with chance 0.25 to 1" in repr(world)
+    assert "4 walk and 2 patrol, and destroy a robot that they meet with probability 0.25 to 1" in repr(world)
     world.save(tmp_path / "w.npz")
     again = load_world_file(tmp_path / "w.npz")
     assert again.movers is not None
@@ -313,7 +313,7 @@ def test_a_plan_of_an_earlier_release_keeps_its_reading(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ("moving_threats: 3\n", r"`moving_threats` is 3; expected a list of movers"),
+        ("moving_threats: 3\n", r"`moving_threats` is 3; expected a list of moving threats"),
         ("moving_threats: [{h: 0.5}]\n", r"`moving_threats\[0\]` is .*either walk or patrol"),
         ("moving_threats: [{walk: 0.5}]\n", r"`moving_threats\[0\]\.h` is missing"),
         ("moving_threats: [{walk: 1.5, h: 0.5}]\n", r"`moving_threats\[0\]\.walk` is 1\.5; expected a chance to stay"),
@@ -604,7 +604,7 @@ def test_a_scenario_and_its_world_file_phases(tmp_path: Path) -> None:
         ("phases:\n- {from: 4, threats: [{raster: b.npy}]}\n", "phases: []\n", r"`phases` is \[\]; expected a list of"),
         ("map: m.npy", "map: m.npy\nplan_on: last", r"`plan_on` is 'last'; expected now or first or worst"),
         ("map: m.npy", "map: m.npy\nmoving_threats: [{walk: 1, h: 0.1}]", r"`phases` is .*none together with moving"),
-        ("map: m.npy", "map: m.npy\nprior_map: {p: 0.1}", r"here: threats that change at step 4"),
+        ("map: m.npy", "map: m.npy\nprior_map: {p: 0.1}", r"uncertainty: threats that change at step 4"),
     ],
 )
 def test_a_wrong_phase_is_one_line(tmp_path: Path, old: str, new: str, said: str) -> None:
@@ -627,7 +627,7 @@ def test_maps_and_loops_that_do_not_fit_are_refused() -> None:
         with_phases(world, [(3, plain)])
     with pytest.raises(InputError, match=r"threats known in advance.*use `plan_on: first` or `worst`"):
         make_plan(world, [[0, 0]], Settings(radio=4.0))
-    with pytest.raises(InputError, match=r"`transit=\"area\"`, legs that stay.*give `plan_on: first` or `worst`"):
+    with pytest.raises(InputError, match=r"`transit=\"area\"`, legs that stay.*use `plan_on: first` or `worst`"):
         make_plan(world, [[0, 0]], Settings(transit="area"))
     with pytest.raises(InputError, match=r"engine=.jax. with threats that change"):
         make_engine(make_plan(world, [[0, 0]]), world, Rolling(), "jax")
