@@ -381,8 +381,8 @@ WORLD_ARGUMENTS = World.create(np.zeros((2, 3)))
 @pytest.mark.parametrize(
     ("choices", "said"),
     [
-        ({"loop": "both"}, "loop='both'; expected 'open' or 'closed'"),
-        ({"loop": None}, "loop=None; expected 'open' or 'closed'"),
+        ({"loop": "both"}, "loop='both'; expected 'closed' or 'open'"),
+        ({"loop": None}, "loop=None; expected 'closed' or 'open'"),
         ({"loop": "opn"}, "did you mean 'open'?"),
         ({"loop": ["open"]}, "loop=['open']"),
         ({"engine": "cuda"}, "engine='cuda'; expected 'auto' or 'jax' or 'numba'"),

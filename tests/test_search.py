@@ -493,9 +493,9 @@ def test_sources_are_the_default_where_there_are_several(tmp_path: Path) -> None
     assert threats_of(hidden, hidden.starts, 16)[0] == "areas"
     changed = replace(world, threat=hidden.threat)
     assert threats_of(changed, world.starts, 16)[0] == "areas"
-    with pytest.raises(UsageError, match=r"no polygon, point or site of its threats .*; use remove='areas'"):
+    with pytest.raises(UsageError, match=r"no polygon, point or site of its threats .*; use unit='areas'"):
         mrac.threats(WORLD_CLEAR, remove=1, unit="sources")
-    with pytest.raises(UsageError, match="remove='all'; expected 'areas' or 'sources'"):
+    with pytest.raises(UsageError, match="unit='all'; expected 'areas' or 'sources'"):
         mrac.threats(WORLD_CLEAR, remove=1, unit="all")  # type: ignore[arg-type]
 
 
@@ -521,14 +521,14 @@ def test_the_command_says_gains_as_json(capsys: pytest.CaptureFixture[str], clea
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--count", "0"], "--count 0; expected a whole number of threats, 1 to 3"),
-        (["--count", "4"], "--count 4; expected a whole number of threats, 1 to 3"),
-        (["--remove", "all"], "--remove 'all'; expected areas or sources"),
-        (["--remove", "sources"], "lies where a robot can get; use --remove areas"),
-        (["--starts", "0,8"], "[0, 8], an obstacle"),
-        (["--robots", "3"], "--robots 3 contradicts the 2 starts"),
+        (["--remove", "0"], "--remove 0; expected a whole number of threats, 1 to 3"),
+        (["--remove", "4"], "--remove 4; expected a whole number of threats, 1 to 3"),
+        (["--remove", "--unit", "all"], "--unit 'all'; expected areas or sources"),
+        (["--remove", "--unit", "sources"], "lies where a robot can get; use --unit areas"),
+        (["--remove", "--starts", "0,8"], "[0, 8], an obstacle"),
+        (["--remove", "--robots", "3"], "--robots 3 contradicts the 2 starts"),
         (["--plan-for", "open_loop"], "Unknown option: --plan-for"),
-        (["--rollouts", "4294967296"], "expected at most 2147483648"),
+        (["--remove", "--rollouts", "4294967296"], "expected at most 2147483648"),
     ],
 )
 def test_bad_options_are_told_clear(
@@ -737,11 +737,11 @@ def test_the_command_says_it_as_json_and_writes_both_maps(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--count", "0"], "--count 0; expected a whole number of threats, 1 to 27"),
-        (["--count", "28"], "--count 28; expected a whole number of threats, 1 to 27"),
-        (["--p", "0"], "--p 0; expected a chance, 1e-6 or more and below 1"),
-        (["--p", "1"], "--p 1; expected a chance, 1e-6 or more and below 1"),
-        (["--p", "1e-60"], "--p 1e-60; expected a chance, 1e-6 or more and below 1"),
+        (["--add", "0"], "--add 0; expected a whole number of threats, 1 to 27"),
+        (["--add", "28"], "--add 28; expected a whole number of threats, 1 to 27"),
+        (["--add", "--p", "0"], "--p 0; expected a chance, 1e-6 or more and below 1"),
+        (["--add", "--p", "1"], "--p 1; expected a chance, 1e-6 or more and below 1"),
+        (["--add", "--p", "1e-60"], "--p 1e-60; expected a chance, 1e-6 or more and below 1"),
         (["--plan-for", "open_loop"], "Unknown option: --plan-for"),
     ],
 )

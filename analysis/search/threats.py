@@ -400,14 +400,14 @@ def threats_of(
     where there is none.
     """
     if remove is not None:
-        check_word("remove", remove, ("areas", "sources"))
+        check_word("unit", remove, ("areas", "sources"))
     things = _things_of(world, starts)
     if remove is None:
         remove = "sources" if len(things) > 1 else "areas"
     threats = things if remove == "sources" else _areas_of(world, starts, levels)
     if not threats and remove == "sources":
         problem = f"{world.source}: no polygon, point or site of its threats lies where a robot can get"
-        raise UsageError(problem, fix=f"use {argument('remove', 'areas')}")
+        raise UsageError(problem, fix=f"use {argument('unit', 'areas')}")
     if not threats:
         raise UsageError(f"{world.source}: no cell that a robot can reach is dangerous", expected="a threat to clear")
     return remove, threats, _apart(world, remove, things)
@@ -461,7 +461,7 @@ def find_clearing(
     choices = choices.timed(world.pace)
     check_search(world, settings, choices, "a search for what to clear")
     chosen, threats, notes = threats_of(world, starts, settings.levels, remove)
-    whole(1, len(threats), "a whole number of threats").check("count", count)
+    whole(1, len(threats), "a whole number of threats").check("remove", count)
     search = Search(world, starts, settings, choices, progress, doing or quiet, most=SIMULATED)
     turns: list[Turn] = []
     left, now, gain, stopped = threats, world, None, False
@@ -635,7 +635,7 @@ def find_attack(
     search = Search(world, starts, settings, choices, progress, doing or quiet, most=MOST_PLACES, placing=True)
     as_is = search.anew(world)
     places, notes = places_of(world, starts, settings, float(p))
-    whole(1, len(places), "a whole number of threats").check("count", count)
+    whole(1, len(places), "a whole number of threats").check("add", count)
     turn = search.turn(world, places, screening=False)
     known = _Adversary(search, world, places, search.anew, True, [turn.picked.threat])
     hidden = _Adversary(search, world, places, as_is.under, False)
