@@ -257,8 +257,9 @@ def test_a_back_end(monkeypatch: pytest.MonkeyPatch) -> None:
     world = mrac.load("example:paper")
     plan = mrac.plan(world, robots=4)
     names = walk_through(monkeypatch, "planner/rollouts/engine", "CLOSED_LOOP")
-    for module in ("planner.rollouts.engine", "analysis.sampling"):
-        monkeypatch.setattr(f"{module}.ENGINES", ("auto", "jax", "numba", "halves"))
+    engines = ("auto", "jax", "numba", "halves")
+    monkeypatch.setattr("planner.rollouts.engine.ENGINES", engines)
+    monkeypatch.setitem(OPTIONS, "engine", replace(OPTIONS["engine"], words=engines))
     halves, numba = (make_engine(plan, world, Rolling(seed=3), name) for name in ("halves", "numba"))  # type: ignore[arg-type]
     assert isinstance(halves, names["InHalves"])
     for start, count in ((0, 1), (7, 501)):
