@@ -28,7 +28,7 @@ from planner.errors import InputError
 from planner.formatting import percent
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.single_run import PythonLoop
-from planner.settings import SETTINGS
+from planner.settings import OPTIONS, SETTINGS
 from planner.world.levels import place_starts
 from planner.world.scenario import load_input
 
