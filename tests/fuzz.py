@@ -115,10 +115,10 @@ TARGETS = (
     Target("sweep", "sweep.yaml", "sweep sweep.yaml --store kept.store --json --processes 1"),
     Target("store", "kept.store", "results kept.store --json"),
     Target("recording", "run.mcap", "inspect run.mcap --json"),
-    Target("recovery", "run.mcap", "recover run.mcap --out new.mcap --json"),
+    Target("recovery", "run.mcap", "inspect run.mcap --repair new.mcap --json"),
     Target("logged map", "run.mcap", "plan run.mcap --json --robots 2"),
     Target("drive", "lines.jsonl", "drive world.npz"),
-    Target("threat names", "zones.geojson", "clear geojson.yaml --rollouts 64 --json"),
+    Target("threat names", "zones.geojson", "threats geojson.yaml --remove 1 --rollouts 64 --json"),
     Target("options", "", ""),
     Target("pairs", "", ""),
 )

@@ -191,7 +191,7 @@ def test_a_plan_of_another_planner_has_open_loop_checks(tmp_path: Path, capsys: 
     found = answer(capsys, str(tmp_path / "world.npz"), "--plan", str(tmp_path / "other.json"))
     assert {check["loop"] for check in found["checks"]} == {"open"}
     assert found["truth"]["closed_loop"] is None
-    assert "another planner" in found["left_out"][0]
+    assert "external plan" in found["left_out"][0]
 
 
 @pytest.mark.parametrize("starts", [[[0, 0]], [[0, 0], [0, 3]]])
@@ -404,7 +404,7 @@ def test_an_interrupted_survey_prints_what_is_there(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("", "an INPUT, or --worlds N"),
+        ("", "an INPUT, --worlds or --paper"),
         ("nowhere.npz", "no such file"),
         ("WORLD --worlds 3", "one of them"),
         ("WORLD --kind scattered", "--kind is for --worlds"),
@@ -417,8 +417,8 @@ def test_an_interrupted_survey_prints_what_is_there(
         ("WORLD --out WORLD", "is a file"),
         ("--worlds 0", "--worlds 0"),
         ("--worlds x", "whole number"),
-        ("--worlds 2 --robots 0,1", "sizes of team"),
-        ("--worlds 2 --robots a", "sizes of team"),
+        ("--worlds 2 --robots 0,1", "team sizes"),
+        ("--worlds 2 --robots a", "team sizes"),
         ("--worlds 2 --size 20", "HxW"),
         ("--worlds 2 --size 0x4", "at least 1 x 1"),
         ("--worlds 2 --kind dense", "contiguous or scattered"),

@@ -28,7 +28,7 @@ from planner.errors import InputError
 from planner.formatting import percent
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.single_run import PythonLoop
-from planner.settings import SETTINGS
+from planner.settings import OPTIONS, SETTINGS
 from planner.world.levels import place_starts
 from planner.world.scenario import load_input
 
@@ -257,8 +257,9 @@ def test_a_back_end(monkeypatch: pytest.MonkeyPatch) -> None:
     world = mrac.load("example:paper")
     plan = mrac.plan(world, robots=4)
     names = walk_through(monkeypatch, "planner/rollouts/engine", "CLOSED_LOOP")
-    for module in ("planner.rollouts.engine", "analysis.sampling"):
-        monkeypatch.setattr(f"{module}.ENGINES", ("auto", "jax", "numba", "halves"))
+    engines = ("auto", "jax", "numba", "halves")
+    monkeypatch.setattr("planner.rollouts.engine.ENGINES", engines)
+    monkeypatch.setitem(OPTIONS, "engine", replace(OPTIONS["engine"], words=engines))
     halves, numba = (make_engine(plan, world, Rolling(seed=3), name) for name in ("halves", "numba"))  # type: ignore[arg-type]
     assert isinstance(halves, names["InHalves"])
     for start, count in ((0, 1), (7, 501)):

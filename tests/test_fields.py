@@ -334,7 +334,7 @@ def test_swaths_are_driven_and_the_field_s_cells_are_counted(tmp_path: Path) -> 
         ("map: {polygons: farm.geojson, swath: 2.5}", r"`map.swath` is 2.5 m; expected a whole number of cells of 1 m"),
         ("map: {polygons: farm.geojson, swath: 0.5}", r"`map.swath` is 0.5 m"),
         ("map: {polygons: farm.geojson, direction: 200}", r"`map.direction` is 200; expected degrees, -180 to 180"),
-        ("map: {polygons: farm.geojson, swath: 2}\nvalue: 3", r"`value` is 3; expected none of a map with a swath"),
+        ("map: {polygons: farm.geojson, swath: 2}\nvalue: 3", r"`value` is 3; expected none for a map with a swath"),
         ("map: {file: farm.geojson, swath: 2}", "swath"),
     ],
 )

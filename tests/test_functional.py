@@ -460,7 +460,7 @@ def test_what_has_no_closed_loop_gradient_is_refused(monkeypatch: pytest.MonkeyP
     doubtful = with_hazard(world, "persistent", 0.5)
     with pytest.raises(WorldError, match="requires one known map"):
         closed_loop_gradient(doubtful, at(plan, doubtful))
-    with pytest.raises(PlanError, match=r"robots that wear .* leave out `weibull_shape`"):
+    with pytest.raises(PlanError, match=r"Weibull shape 2; leave `weibull_shape`"):
         closed_loop_gradient(world, plan.of_robots(weibull_shape=2.0))
     with pytest.raises(WorldError, match=r"p: shape \[4, 4\]; expected \[4, 5\]"):
         closed_loop_gradient(world, plan, world.threat[:, :4])

@@ -11,7 +11,6 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from datetime import date
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,7 +21,7 @@ import networkx as nx
 import numpy as np
 import pytest
 import yaml
-from evidence import Evidence, covered, of_the_day, parts, read, slow_files, stale, written
+from evidence import Evidence, read, slow_files, stale, written
 from helpers import ROOT, run_python
 from open_loop_reference import fixture
 
@@ -305,32 +304,9 @@ def test_no_table_of_a_page_is_cut_by_an_empty_line() -> None:
             assert re.fullmatch(r"[|: -]+", table.splitlines()[1]), f"{path}: {table}"
 
 
-# `tests/evidence.py`: every slow file is in one part, the table holds each result, stale results are named.
+# `tests/evidence.py`: the table holds each result, stale results are named.
 
 GOOD = Evidence("3 passed, 9 deselected", 61, "2026-11-24", "abc1234")
-
-SLOW = "pytest" + ".mark.slow"
-
-
-def test_every_file_is_in_one_part_and_parts_take_about_as_long() -> None:
-    names = slow_files()
-    assert len(names) > 25
-    seconds = {name: 10.0 + 7 * (number % 40) for number, name in enumerate(names)}
-    dealt = parts(names, seconds, 8)
-    assert sorted(name for part in dealt for name in part) == names
-    sums = [sum(seconds[name] for name in part) for part in dealt]
-    assert max(sums) - min(sums) <= max(seconds.values())
-
-
-def test_the_day_s_files_fit_and_all_come_round() -> None:
-    names = [f"test_{number}" for number in range(23)]
-    seconds = {name: 30.0 + number for number, name in enumerate(names[:20])} | {"test_20": 500.0}
-    met = set[str]()
-    for day in range(40):
-        chosen = of_the_day(names, seconds, 120, date.fromordinal(740_000 + day))
-        assert chosen and sum(seconds[name] for name in chosen) <= 120
-        met |= {*chosen}
-    assert met == set(names[:20])  # what takes too long, or was never run, is left out
 
 
 def test_the_table_keeps_results() -> None:
@@ -340,42 +316,27 @@ def test_the_table_keeps_results() -> None:
     assert set(rows) <= set(slow_files())
 
 
-def test_covered_is_what_is_imported_to_the_last() -> None:
-    paths = covered("test_search_trials")
-    assert {
-        "tests/test_search_trials.py",
-        "analysis/search/start_positions.py",
-        "planner/rollouts/exact_tree.py",
-    } <= paths
-    assert "tests/test_statistics.py" in covered("test_values")
-    assert not {"analysis/studio/server.py", "mrac_jax/__init__.py"} & covered("test_pool")
-
-
-def test_what_is_older_than_its_code_is_named(tmp_path: Path) -> None:
+def test_what_is_older_than_the_code_is_named(tmp_path: Path) -> None:
     def git(*words: str) -> str:
         name = ["-c", "user.name=a", "-c", "user.email=a@b"]
         return subprocess.run(["git", *name, *words], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
 
-    (tmp_path / "tests").mkdir()
-    (tmp_path / "planner").mkdir()
-    for name in ("a", "b", "c", "d", "e"):
-        (tmp_path / f"tests/test_{name}.py").write_text(
-            f"from planner import {'one' if name < 'c' else 'two'}\n# {SLOW}\n"
-        )
-    for name in ("one", "two", "__init__"):
-        (tmp_path / f"planner/{name}.py").write_text("A = 1\n")
+    for name in ("planner", "analysis", "mrac_jax", "tests"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "one.py").write_text("A = 1\n")
+    for name in "abcd":
+        (tmp_path / f"tests/test_{name}.py").write_text("# pytest" + ".mark.slow\n")
     git("init", "-q")
     git("add", "-A")
     git("commit", "-qm", "first")
-    rows = {f"test_{name}": replace(GOOD, commit=git("rev-parse", "HEAD").strip()) for name in "abcd"}
+    commit = git("rev-parse", "HEAD").strip()
+    rows = {f"test_{name}": replace(GOOD, commit=commit) for name in "abc"}
     rows["test_b"] = replace(rows["test_b"], summary="1 failed, 3 passed")
-    rows["test_d"] = replace(rows["test_d"], commit=rows["test_d"].commit + "+")
-    said = ["test_b: 1 failed, 3 passed", "test_d: run with changes that were not committed", "test_e: never run"]
-    assert list(stale(rows, tmp_path)) == said
-    (tmp_path / "planner/two.py").write_text('"""Two."""\n\nA = 1  # or more\n"""As it was."""\n')
-    assert list(stale(rows, tmp_path)) == said
-    (tmp_path / "planner/two.py").write_text("A = 2\n")
-    assert "test_c: older than the code that it covers (planner/two.py)" in list(stale(rows, tmp_path))
+    rows["test_c"] = replace(rows["test_c"], commit=commit + "+")
+    named = ["test_b: 1 failed, 3 passed", f"test_c: older than the code ({commit}+)", "test_d: never run"]
+    assert list(stale(rows, tmp_path)) == named
+    (tmp_path / "planner/one.py").write_text("A = 2\n")
+    assert stale(rows, tmp_path)[0] == f"test_a: older than the code ({commit})"
 
 
 def test_a_run_says_how_it_ended(monkeypatch: pytest.MonkeyPatch) -> None:

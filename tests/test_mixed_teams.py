@@ -227,7 +227,7 @@ def test_teams_of_unknown_types_and_what_does_not_know_types(tmp_path: Path) -> 
         with pytest.raises(InputError, match="types"):
             plan_team(world, starts, Settings(types=("drone", "rover"), **more))
     hazard = with_hazard(replace(world, types=None), "persistent", 0.1)
-    with pytest.raises(InputError, match="presume one known map"):
+    with pytest.raises(InputError, match="require one known map"):
         make_plan(replace(hazard, types=world.types), starts, Settings(types="drone"))
 
 

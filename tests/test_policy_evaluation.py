@@ -359,7 +359,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(room, name, value)
 
 
-@pytest.mark.usefixtures("few")
+@pytest.mark.usefixtures("few", "full_effort")
 def test_columns_are_those_of_the_maps_rolled_out_by_hand(tmp_path: Path) -> None:
     with Store.open(tmp_path / "s.db") as store:
         study = study_policies(maps=2, rollouts=30, seed=5, store=store, processes=1)

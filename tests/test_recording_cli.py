@@ -1,4 +1,4 @@
-"""The commands `record`, `replay`, `inspect` and `recover` as a user meets them."""
+"""The commands `record` and `inspect` as a user meets them."""
 
 from __future__ import annotations
 
@@ -240,14 +240,14 @@ def test_inputs_are_never_overwritten(tmp_path: Path, capsys: pytest.CaptureFixt
     assert plan.read_text() == state.read_text() == "{}"
 
 
-@pytest.mark.parametrize("command", ["replay", "inspect", "recover"])
-def test_files_that_are_none(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "nothing.mcap" in refused(capsys, command, str(tmp_path / "nothing.mcap"))
+@pytest.mark.parametrize("option", [[], ["--replay"], ["--repair", "new.mcap"]])
+def test_files_that_are_none(option: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "nothing.mcap" in refused(capsys, "inspect", str(tmp_path / "nothing.mcap"), *option)
     (tmp_path / "text.mcap").write_text("hello")
-    assert "text.mcap" in refused(capsys, command, str(tmp_path / "text.mcap"))
+    assert "text.mcap" in refused(capsys, "inspect", str(tmp_path / "text.mcap"), *option)
     (tmp_path / "empty.mcap").touch()
-    assert "empty.mcap" in refused(capsys, command, str(tmp_path / "empty.mcap"))
-    assert str(tmp_path) in refused(capsys, command, str(tmp_path))
+    assert "empty.mcap" in refused(capsys, "inspect", str(tmp_path / "empty.mcap"), *option)
+    assert str(tmp_path) in refused(capsys, "inspect", str(tmp_path), *option)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["empty.mcap", "text.mcap"]
 
 

@@ -244,7 +244,7 @@ def test_kill_9_loses_at_most_the_chunk_in_flight(tmp_path: Path) -> None:
     process.wait()
     partial = tmp_path / "a.mcap.partial"
     assert partial.exists() and not path.exists()
-    with pytest.raises(InputError, match="recover"):
+    with pytest.raises(InputError, match="inspect --repair"):
         open_log(partial)
     report = recover(partial, path)
     assert partial.exists() and report.attachments == ["world.npz"] and report.metadata == ["mrac-jax"]

@@ -720,7 +720,7 @@ def test_viewshed_on_the_cells_in_bands(tmp_path: Path) -> None:
         ({"sites": [[0, 0]], "range": 5, "p": 0.1, "height": -1}, "viewshed.height"),
         ({"sites": [[0, 0]]}, "range and p, or bands"),
         ({"sites": [[0, 0]], "p": 0.1, "bands": [[5, 0.1]]}, "not both"),
-        ({"sites": [[0, 0]], "bands": [[5, 0.1], [4, 0.2]]}, "rising"),
+        ({"sites": [[0, 0]], "bands": [[5, 0.1], [4, 0.2]]}, "increasing"),
         ({"sites": [[0, 0]], "bands": [[5, math.nan]]}, "viewshed.bands[0][1]"),
     ],
 )

@@ -393,7 +393,7 @@ class World:
         pace = found if found else self.pace
         return replace(self, pace=replace(pace, turn=self.pace.turn if turn is None else float(turn)))
 
-    def with_phases(self, phases: Sequence[tuple[Any, World | ArrayLike]], plan_on: str = "first") -> World:
+    def with_phases(self, phases: Sequence[tuple[Any, World | ArrayLike]], plan_on: str = "now") -> World:
         """The world with threats that change with time.
 
         Args:
