@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -232,6 +232,34 @@ def run_python(code: str, *words: str, options: Sequence[str] = (), **environmen
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+# --- Interruptions.
+
+
+def after(calls: int) -> Callable[[int, int, float], None]:
+    """A progress function that is interrupted in its so many-th call."""
+    left = [calls]
+
+    def tell(done: int, total: int, seconds: float) -> None:
+        left[0] -= 1
+        if left[0] == 0:
+            raise KeyboardInterrupt
+
+    return tell
+
+
+def interrupt_rollouts(monkeypatch: pytest.MonkeyPatch, call: int) -> None:
+    """The closed loop is interrupted in its so many-th call of `run_range`, counted from here."""
+    left = [call]
+
+    def interrupted(*given: Any, **options: Any) -> Any:
+        left[0] -= 1
+        if left[0] == 0:
+            raise KeyboardInterrupt
+        return run_range(*given, **options)
+
+    monkeypatch.setattr("planner.rollouts.closed_loop.run_range", interrupted)
 
 
 # --- Policies that other processes can import.

@@ -19,17 +19,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import after
 
 import mrac_jax as mrac
-from analysis import api as api_evaluation
-from analysis import api as searches
+from analysis import api
 from analysis.cli.app import app, run
 from analysis.cli.options import COMMANDS
 from analysis.evaluation.evaluate import evaluate
 from analysis.sampling import RolloutChoices
 from analysis.utils import progress
-from analysis.utils import progress as compiling
-from analysis.utils import progress as shown
 from analysis.utils.notes import of_things
 from analysis.utils.progress import Announcer, Interrupted, ask
 from analysis.utils.tables import SafeConsole
@@ -123,7 +121,7 @@ def test_a_pipe_is_told_where_a_long_run_is(
 def test_a_compilation_is_named_with_the_seconds_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of one code all compilations together, the inner ones once; of another code from the start again."""
     now = 0.0
-    monkeypatch.setattr(compiling.time, "monotonic", lambda: now)
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now)
     announcer = Announcer()
     compiles, parts = announcer.line, ((announcer.begins, 0), (announcer.begins, 5), (announcer.ends, 0))
     announcer.what = "per_cell"
@@ -151,16 +149,15 @@ def test_a_progress_line_says_what_is_compiled_for_what(
 ) -> None:
     """On a pipe and on a terminal; what is compiled is the simulator of the plan that was made ready last."""
     announcer, now = Announcer(), 0.0
-    monkeypatch.setattr(compiling.time, "monotonic", lambda: now)
-    for module in (compiling, progress):
-        monkeypatch.setattr(module, "ANNOUNCER", announcer)
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now)
+    monkeypatch.setattr(progress, "ANNOUNCER", announcer)
     world = World.create([[0, 0.1]])
     plan = make_plan(world, [[0, 0]], Settings(policy="per_cell"))
     with progress.show_progress(asked=False) as watch:
         watch.doing("alternatives")
         assert watch.line_after(8) == "alternatives ... (8 s)"
         for loop, name in (("closed", "per_cell"), ("open", "the open loop")):
-            compiling.compiles_for(plan, loop)
+            progress.compiles_for(plan, loop)
             announcer.begins()
             now += 35.0
             assert watch.line_after(37) == f"compiling {name}, first run only, 35 s so far; alternatives"
@@ -180,9 +177,9 @@ def test_a_progress_line_says_what_is_compiled_for_what(
 @pytest.mark.parametrize("cached", [True, False])
 def test_a_compilation_in_other_processes_is_announced(cached: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     begun: list[int] = []
-    monkeypatch.setattr(compiling.ANNOUNCER, "begins", lambda: begun.append(1))
+    monkeypatch.setattr(progress.ANNOUNCER, "begins", lambda: begun.append(1))
     monkeypatch.setattr(jit, "is_cached", lambda program: cached)
-    with compiling.compiling_elsewhere(["mrac"]):
+    with progress.compiling_elsewhere(["mrac"]):
         assert len(begun) == (not cached)
 
 
@@ -251,18 +248,6 @@ def small_world() -> mrac.World:
     threat = np.zeros((6, 9))
     threat[2:4, 3:7], threat[0, 8] = 0.2, np.nan
     return mrac.load(threat)
-
-
-def after(calls: int) -> Callable[[int, int, float], None]:
-    """A progress function that is interrupted in its so many-th call."""
-    left = [calls]
-
-    def tell(done: int, total: int, seconds: float) -> None:
-        left[0] -= 1
-        if left[0] == 0:
-            raise KeyboardInterrupt
-
-    return tell
 
 
 def jobs(folder: Path) -> dict[str, tuple[int, Callable[..., Any]]]:
@@ -337,15 +322,15 @@ def slowly(seconds: float) -> Callable[[Any, Any], Done]:
 def test_a_terminal_has_a_bar_a_pipe_lines_if_asked(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(shown, "FIRST", 0.05)
-    monkeypatch.setattr(shown, "EVERY", 0.05)
+    monkeypatch.setattr(progress, "FIRST", 0.05)
+    monkeypatch.setattr(progress, "EVERY", 0.05)
     ask(slowly(0.2), None, "raise")
     ask(slowly(0.2), False, "raise")
     assert capsys.readouterr().err == ""
     ask(slowly(0.2), True, "raise")
     assert "rollouts ... 30 of 60 rollouts, 30 s left (1 s)" in capsys.readouterr().err
     screen = io.StringIO()
-    monkeypatch.setattr(shown, "SafeConsole", lambda **_: SafeConsole(file=screen, force_terminal=True, width=100))
+    monkeypatch.setattr(progress, "SafeConsole", lambda **_: SafeConsole(file=screen, force_terminal=True, width=100))
     ask(slowly(0.2), None, "raise")
     assert "30 of 60 rollouts" in screen.getvalue()
     before = screen.tell()
@@ -368,8 +353,8 @@ def test_a_notebook_has_a_line_that_goes_away(monkeypatch: pytest.MonkeyPatch) -
     module.display = display  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "IPython", ModuleType("IPython"))
     monkeypatch.setitem(sys.modules, "IPython.display", module)
-    monkeypatch.setattr(shown, "SafeConsole", lambda **_: SafeConsole(file=io.StringIO(), force_jupyter=True))
-    monkeypatch.setattr(shown, "REFRESH", 0.05)
+    monkeypatch.setattr(progress, "SafeConsole", lambda **_: SafeConsole(file=io.StringIO(), force_jupyter=True))
+    monkeypatch.setattr(progress, "REFRESH", 0.05)
     ask(slowly(0.3), None, "raise")
     assert len(seen) > 2 and seen[0].startswith("rollouts ... 30 of 60 rollouts, 30 s left") and seen[-1] == ""
     seen.clear()
@@ -403,15 +388,10 @@ def options_of(command: str) -> set[str]:
     return {f"{name[4:]}_b" if name[:4] == "--b." else name[2:].replace("-", "_") for name in names} - {"plan_b"}
 
 
-def options_and_arguments(command: str) -> tuple[set[str], set[str]]:
-    options = {name.replace("-", "_") for name in options_of(command)}
-    return options, set(inspect.signature(getattr(mrac, command)).parameters)
-
-
 def test_commands_and_functions_take_the_same_options() -> None:
     assert {name for name in app if not name.startswith("-")} - ALONE <= set(mrac.__all__)
     for command in sorted({name for name in app if not name.startswith("-")} - ALONE):
-        options, taken = options_and_arguments(command)
+        options, taken = options_of(command), set(inspect.signature(getattr(mrac, command)).parameters)
         elsewhere = FILES | OF_THE_WORLD | OTHERWISE.get(command, set())
         elsewhere |= OF_THE_PLAN if command in TAKE_A_PLAN else set()
         sides = {f"{name}_b" for name in elsewhere | OF_THE_PLAN}
@@ -437,7 +417,7 @@ def test_help_shows_fifteen_options_of_evaluate_and_all_of_them_on_demand(capsys
         assert run(["evaluate", flag]) == 0
         said = capsys.readouterr().out
         shown[flag] = set(re.findall(r"│ (?:\* )? *(--[a-z-]+)", said))
-        assert max(map(len, said.splitlines())) <= 110
+        assert max(map(len, said.splitlines())) <= 110 and "[bold" not in said
     assert len(shown["--help"]) == 15
     assert {f"--{name.replace('_', '-')}" for name in options_of("evaluate")} == shown["--help-all"]
 
@@ -457,26 +437,20 @@ def test_searches_pass_every_option_on(monkeypatch: pytest.MonkeyPatch) -> None:
         "engine": "numba",
         "exact": "never",
     }
-    rooms = {
-        "starts": "start_positions",
-        "threats": "threats",
-        "front": "pareto",
-        "size": "team_size",
-    }
     finders = {
-        "starts": "find_starts",
-        "threats": "find_attack",
-        "front": "find_front",
-        "size": "find_size",
+        "starts": "start_positions.find_starts",
+        "threats": "threats.find_attack",
+        "front": "pareto.find_front",
+        "size": "team_size.find_size",
     }
-    for name, room in rooms.items():
+    for name, finder in finders.items():
         seen: list[Any] = []
 
         def find(*given: Any, seen: list[Any] = seen, **more: Any) -> Done:
             seen.extend(given)
             return Done()
 
-        monkeypatch.setattr(f"analysis.search.{room}.{finders[name]}", find)
+        monkeypatch.setattr(f"analysis.search.{finder}", find)
         asked = settings | ({} if name == "front" else policy) | ({"target": 0.5} if name in ("size", "front") else {})
         asked |= {"add": 1} if name == "threats" else {}
         getattr(mrac, name)(world, **({} if name == "size" else {"robots": 2}), **asked, **rolled, progress=False)
@@ -484,13 +458,8 @@ def test_searches_pass_every_option_on(monkeypatch: pytest.MonkeyPatch) -> None:
         (choices,) = [one for one in seen if isinstance(one, RolloutChoices)]
         for key, value in (settings | ({} if name == "front" else policy)).items():
             assert getattr(made, key) == (((0, 0),) if key == "return_to" else value), (name, key)
-        assert (choices.rollouts, choices.seed, choices.deadline, choices.engine, choices.exact) == (
-            77,
-            5,
-            300,
-            "numba",
-            "never",
-        )
+        for key in rolled.keys() - {"threat_checks"}:
+            assert getattr(choices, key) == rolled[key], (name, key)
         with pytest.raises(mrac.InputError, match=f"^{name} has no argument 'rolouts'; .* did you mean 'rollouts'"):
             getattr(mrac, name)(world, rolouts=3)
 
@@ -574,7 +543,7 @@ def test_an_input_error_is_a_value_error_that_nothing_swallows(
     error = pickle.loads(pickle.dumps(raised.value))
     assert (type(error), str(error), error.problem) == (type(raised.value), str(raised.value), raised.value.problem)
     assert str(type(error)(error)) == str(error)  # as libraries raise again what another process raised
-    for call in (mrac.size, searches.size, mrac.evaluate, api_evaluation.evaluate):  # with hints, and without
+    for call in (mrac.size, api.size, mrac.evaluate, api.evaluate):  # with hints, and without
         with pytest.raises(mrac.InputError, match="has no argument 'rolouts'") as raised:
             call(small_world(), rolouts=lambda: 3)
         error = pickle.loads(pickle.dumps(raised.value))
