@@ -47,7 +47,7 @@ TYPED = "threats: [{raster: p.npy, type: x}]\nrobots: {count: 2, matrix: {a: {x:
         (TYPED, {"threat 1 %", "threat 20 %"}),
         (
             "moving_threats: [{walk: 0.5, h: 0.3, count: 4}]\nrobots: {count: 2}",
-            {"threat 10 %, or a mover", "by a mover"},
+            {"threat 10 %, or a moving threat", "by a moving threat"},
         ),
     ],
 )
@@ -139,7 +139,7 @@ def test_recover_tells_what_is_lost(
     assert 1 <= len(kept) < 4
     assert kept == whole[: len(kept)]
     assert run(["inspect", str(saved)]) == 0
-    assert "not the whole log" in capsys.readouterr().out
+    assert "incomplete log" in capsys.readouterr().out
     assert run(["replay", str(saved)]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert f"identical as far as it goes: {len(kept)} of 4 rollouts; the file is recovered" in said
@@ -259,7 +259,7 @@ def test_a_log_of_somebody_else_is_listed(tmp_path: Path, capsys: pytest.Capture
     assert run(["inspect", str(tmp_path / "other.mcap")]) == 0
     text = capsys.readouterr().out
     assert "/speed" in text
-    assert "no recording of mrac-jax" in text
+    assert "not a recording of mrac-jax" in text
     assert "settings.json" in refused(capsys, "replay", str(tmp_path / "other.mcap"))
 
 
@@ -336,7 +336,7 @@ def test_ctrl_c_while_recording_leaves_what_is_done(
     assert "survived, %" in done.stdout
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.layout.json", "run.mcap"]
     assert run(["inspect", str(out)]) == 0
-    assert "not the whole log: interrupted" in capsys.readouterr().out
+    assert "incomplete log: interrupted" in capsys.readouterr().out
     assert run(["replay", str(out)]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "identical as far as it goes: 1 of 3 rollouts; the file is partial" in said
@@ -346,7 +346,7 @@ def test_ctrl_c_while_recording_leaves_what_is_done(
     beside = tmp_path / "run.interrupted.mcap"
     assert (made["partial"], made["file"], [row["rollout"] for row in made["rollouts"]]) == (True, str(beside), [0, 1])
     assert made["settings"]["ids"] == [0, 1, 2]
-    assert f"{out} was there before and stays" in err
+    assert f"{out} existed before and is kept" in err
     assert (tmp_path / "run.interrupted.layout.json").exists()
     assert out.read_bytes() == before
 

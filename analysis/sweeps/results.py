@@ -564,28 +564,28 @@ def _order(value: Label) -> tuple[int, float, str]:
     return (1, 0.0, "" if value is None else str(value))
 
 
-# Settings on the same random maps with common random numbers: figures map by map, for paired comparisons.
+# Settings on the same random maps with the same luck: figures of each, map by map, to compare them map by map.
 #
-# Map i of every setting has the same seed, and its rollouts too.
+# Map number i of every setting has the same seed, and so have its rollouts.
 
 SettingName = TypeVar("SettingName")
 Columns = dict[str, NDArray[np.float64]]
-"""Float64 `[M]` by figure, M maps: means of each map's rollouts with the control variate, or exact. "visited" and
+"""Float64 `[M]` by figure, M maps: means of each map's rollouts, put right by their luck, or exact. "visited" and
 "complete" are fractions, "losses" robots, "time" steps; "se": the standard error of "visited"; "exact": 1 where the
-figures are exact."""
+figures are known exactly."""
 OfMap = tuple[NDArray[np.float64], NDArray[np.float64], bool]
 """Means and errors of `figures_of`, and whether they are exact."""
 MAP_FIGURES = ("visited", "losses", "time", "complete")
 EXACT_TEAM, EXACT_SECONDS = 2, 0.01
-"""Robots up to which the exact tree is about as fast as some hundred rollouts; and the time limit for it."""
+"""Robots whose tree takes about as long as some hundred rollouts (four take a second a map), and what it may take."""
 
 
 class ByMap(Generic[SettingName]):
-    """The figures of settings, map by map, as they are computed.
+    """The figures of settings, map by map, as they come.
 
     Args:
-        cases: for a map's number, its settings with the case of each. seed: of the first map and its rollouts.
-        rollouts: of each map and setting. exact: compute exact expectations for teams of up to EXACT_TEAM.
+        cases: of a map's number, its settings with the case of each. seed: of the first map and its rollouts.
+        rollouts: of each map and setting. exact: whether the exact values of teams of up to EXACT_TEAM are looked for.
     """
 
     def __init__(
@@ -617,7 +617,7 @@ class ByMap(Generic[SettingName]):
         return run_cases(self._jobs(maps), held, total=total, progress=take, **where)
 
     def _jobs(self, maps: int) -> Iterator[Job]:
-        """Map after map, so that an interruption leaves complete maps."""
+        """Map after map, so that an interruption leaves whole maps."""
         for number in range(maps):
             for setting, case in self._cases(number):
                 self._under_way[case] = (setting, number)
@@ -626,7 +626,7 @@ class ByMap(Generic[SettingName]):
                 yield Job(case, (model,), self._rollouts, exact_seconds=EXACT_SECONDS if small else 0.0)
 
     def columns(self, settings: Sequence[SettingName]) -> dict[SettingName, Columns]:
-        """The leading maps that all of these settings have; empty if there is none."""
+        """Of the maps, from the first on, that all of these settings have; nothing if there is none."""
         whole = 0
         while settings and all(whole in self._found.get(setting, ()) for setting in settings):
             whole += 1
