@@ -299,4 +299,4 @@ def test_intervals_over_maps_are_student_s_and_wider_for_a_long_tail() -> None:
 def test_a_finding_names_the_worst() -> None:
     ups = [point(0.5, 200, 1), point(0.6, 200, 2), point(0.55, 200, 4)]
     found: list[Finding] = [f for f in findings(ups) if "coverage rises" in f.statement]
-    assert "1 of 2 the other way; worst k = 2 to 4: by -5.0 +- 0.0 points" in found[0].found
+    assert "1 of 2 in the other direction; worst k = 2 to 4: by -5.0 +- 0.0 points" in found[0].found

@@ -1,1 +1,1 @@
-"""What does a policy of one's own make of this world? The mission as an environment that policies are learned in."""
+"""The mission as an environment for learning policies."""

@@ -1,4 +1,4 @@
-"""The environment with PettingZoo's parallel API: dicts keyed by agent; who is lost leaves `agents`."""
+"""The environment with PettingZoo's parallel API: dicts by agent; lost robots leave `agents`."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ Dicts = tuple[dict[str, NDArray], dict[str, float], dict[str, bool], dict[str, b
 
 
 class CoverageParallelEnv(ParallelEnv):
-    """Robots that move, or that are given areas; `infos[agent]["action_mask"]` says which actions are open.
+    """Robots that move, or choose areas; `infos[agent]["action_mask"]` gives the legal actions.
 
-    `reset(seed=s)` begins rollout 0 of that seed, a `reset()` after it rollout 1, and so on: the luck of `evaluate`.
+    `reset(seed=s)` starts rollout 0 of that seed, the next `reset()` rollout 1, and so on, with the random numbers of
+    `evaluate`.
     """
 
     def __init__(self, env: CoverageEnv | AreaEnv, render_mode: str | None = None) -> None:
@@ -34,7 +35,7 @@ class CoverageParallelEnv(ParallelEnv):
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space:
-        """A number of ACTIONS of `coverage_env`, or 0 or one of the M offers."""
+        """Indices of ACTIONS of `coverage_env`, or 0 .. M for the offers."""
         return self.action_spaces[agent]
 
     def reset(
@@ -46,10 +47,9 @@ class CoverageParallelEnv(ParallelEnv):
         return self._of_agents(told.seen[0]), self._infos(told)
 
     def step(self, actions: dict[str, Any]) -> Dicts:
-        """Observations, rewards, terminations, truncations, infos of the agents there were.
+        """Observations, rewards, terminations, truncations and infos of the present agents.
 
-        Raises UsageError for an agent that there is not, for one of `agents` without an action, and for an action
-        outside the space.
+        Raises UsageError for an unknown agent, for one of `agents` without an action, and for an action out of range.
         """
         check_agents(actions, self.possible_agents, self.agents)
         spaces = ((name, int(space.n)) for name, space in self.action_spaces.items())
@@ -66,7 +66,7 @@ class CoverageParallelEnv(ParallelEnv):
         return seen, rewards, terminations, truncations, infos
 
     def _of_agents(self, each: Any) -> dict[str, Any]:
-        """What belongs to each agent that there still is."""
+        """The values of the agents that are still present."""
         return {name: of for name, of in zip(self.possible_agents, each, strict=True) if name in self.agents}
 
     def _infos(self, told: Told) -> dict[str, dict[str, Any]]:
