@@ -391,9 +391,8 @@ def paths(mission: Mission) -> Iterator[Feature]:
             "chance_of_loss": _rounded(1 - mission.exact.survival[number]),
         }
         cells = [stop.cell for stop in mission.stops(number)]
-        line = np.array(
-            cells if len(cells) > 1 else cells * 2
-        )  # a LineString needs two points, even if the robot never moves
+        # A LineString needs two points, even if the robot never moves.
+        line = np.array(cells if len(cells) > 1 else cells * 2)
         lines = [[rounded(part).tolist()] for part in cut_line(mission.on_earth(world.to_xy(line)))]
         yield Feature(f"robot {number}", False, lines, facts, mission.lonlat(line).tolist())
 

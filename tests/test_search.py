@@ -754,5 +754,5 @@ def test_bad_options_are_told_attack(
 
 
 def test_where_every_cell_is_a_start_there_is_nothing_to_threaten() -> None:
-    with pytest.raises(InputError, match="no cell that a robot can reach is left for a threat"):
+    with pytest.raises(InputError, match="no accessible cell is left for a threat"):
         mrac.attack(mrac.load(np.zeros((1, 2))), starts=[[0, 0], [0, 1]])

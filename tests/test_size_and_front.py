@@ -764,9 +764,7 @@ def test_the_chance_of_error_is_shared_among_tries(monkeypatch: pytest.MonkeyPat
         assert asked_for == [0.05 / 2**n for n in range(1, len(asked_for) + 1)] and sum(asked_for) < 0.05
         if tried is None:
             assert answer.pick is None and len(asked_for) == 6 == answer.tried
-            assert front_headline(answer).startswith(
-                "No setting meets the goal with confidence 0.95: at most 1.5 of 2 robots lost"
-            )
+            assert "with confidence 0.95: at most 1.5 of 2 robots lost" in front_headline(answer)
         else:
             assert answer.tried == tried and "It is the third that was tried" in " ".join(pick_lines(answer))
 

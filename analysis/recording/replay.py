@@ -280,7 +280,7 @@ class _Comparison:
         try:
             own = type_of(topic)
         except KeyError:
-            raise Difference(f"an unknown topic:  {topic[:80]!r}") from None
+            raise Difference(f"an unknown topic: {topic[:80]!r}") from None
         found = None if schema is None else (schema.name, schema.encoding, bytes(schema.data), encoding)
         if found != (own.name, own.encoding, own.data, own.message_encoding):
             raise Difference(f"{topic}: the schema is not {own.name}")
@@ -307,9 +307,7 @@ class _Comparison:
                 kept = next(stored, None)
             self.found.rollouts += whole
         if kept is not None:
-            raise Difference(
-                f"there are messages after the last rollout: {kept.topic} at {seconds_text(kept.log_time)}"
-            )
+            raise Difference(f"messages after the last rollout: {kept.topic} at {seconds_text(kept.log_time)}")
 
     # --- results of all evaluated rollouts ---
 

@@ -342,9 +342,7 @@ AMPLE = 1.5
 """Margins between a mean and its bound by which a mission ends beyond a target, so that fresh rollouts confirm it."""
 SETTINGS_ABOUT = 32
 """Number of settings of a typical front: each may use this fraction of the time limit for exact expectations."""
-ENDS_AT_HOME = (
-    "A mission that is ended early is one with a deadline: robots start the return so as to be at the base by it"
-)
+ENDS_AT_HOME = "A mission that is ended early has a deadline: robots start the return so as to be at the base by it"
 BY_CELLS = "The Pareto front and the selected point count cells; value is shown in addition"
 
 

@@ -139,9 +139,7 @@ def _starts_maps(starts: Starts) -> CellMaps:
 
     world = starts.world
     threat = np.nan_to_num(np.where(world.accessible(starts.starts), world.threat, 0.0).astype(np.float64))
-    layers = [
-        CellLayer("Threat", "Probability that one visit of the cell destroys the robot.", threat, THREAT, "%", digits=2)
-    ]
+    layers = [CellLayer("Threat", "Probability that one visit destroys the robot.", threat, THREAT, "%", digits=2)]
     if starts.depot:
         covered, known = np.zeros(world.shape), [place for place in starts.simulated if place.counted is not None]
         for place in known:
@@ -193,7 +191,7 @@ def _starts_footnotes(starts: Starts) -> list[str]:
     return [
         f"bound: {counts} visited at most on average, for any policy; one robot: eq. (4), "
         f"{counts} of one robot's plan."
-        + " ±: half the 95 % interval, in brackets its ends; behind: simultaneous 95 % intervals;  "
+        + " ±: half the 95 % interval, in brackets its ends; behind: simultaneous 95 % intervals; "
         "places that were eliminated early have few rollouts." * (not starts.exact),
         *([f"The JSON object has {counted(more, 'further place')}."] if more > 0 else []),
     ]
@@ -267,9 +265,7 @@ def clear_headline(clearing: Clearing) -> str:
     picks, gain = clearing.picks, clearing.gain
     first = f"Best threat found to remove first: {place_words(clearing, picks[0])}"
     if gain is None:
-        return (
-            f"Interrupted. {first}: {_more(clearing, clearing.turns[0].picked.known)}, on the rollouts of the search."
-        )
+        return f"Interrupted. {first}: {_more(clearing, clearing.turns[0].picked.known)}, on the search's rollouts."
     if len(picks) > 1:
         first = f"Best threats found to remove, in this order: {', '.join(threat.name for threat in picks)}"
     return f"{first}: {_more(clearing, gain)} on average, after replanning."

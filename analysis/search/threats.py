@@ -490,9 +490,7 @@ def find_clearing(
 def _notes(threats: int, simulated: int) -> tuple[str, ...]:
     if threats <= simulated:
         return ()
-    return (
-        f"of {counted(threats, 'threat')}, the {simulated} with the largest effect on the upper bound were replanned",
-    )
+    return (f"of {counted(threats, 'threat')}, the {simulated} with most effect on the upper bound were replanned",)
 
 
 # Placement of threats: greedy, then each is moved while that costs more. Once for informed, once for uninformed robots.
@@ -662,9 +660,7 @@ def places_of(
     free[tuple(starts.T)] = False
     cells = np.flatnonzero(free)
     if not len(cells):
-        raise UsageError(
-            f"{world.source}: no cell that a robot can reach is left for a threat", expected="a larger map"
-        )
+        raise UsageError(f"{world.source}: no accessible cell is left for a threat", expected="a larger map")
     notes: tuple[str, ...] = ()
     if len(cells) > MOST_PLACES:
         costs = -coverage_gradient(make_plan(world, starts, settings), world).reshape(-1)[cells]

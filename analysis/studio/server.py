@@ -264,9 +264,7 @@ class Figure(NamedTuple):
 
 def headline(robots: int, mean: Estimate, losses: Estimate, alone: bool = False) -> str:
     """The summary of the closed loop; `alone`: of the open loop, in which no robot takes over another's work."""
-    covers = (
-        f"{counted(robots, 'robot covers', 'robots cover')} {without_level(coverage(mean))} of the accessible cells"
-    )
+    covers = f"{counted(robots, 'robot covers', 'robots cover')} {without_level(coverage(mean))} of accessible cells"
     if alone:
         covers = f"In the open loop, {counted(robots, 'robot')} would cover {without_level(coverage(mean))}"
     lost = lost_words(losses.mean, robots, min(losses.digits(), 2))
@@ -472,11 +470,8 @@ class Board:
         if self.sketch.world.knowledge is None:
             return line
         figures = [*line["figures"], *knowledge_figures(knowing)]
-        return line | {
-            "figures": figures,
-            "paths": None,
-            "thickness": 0,
-        }  # robots replan, so the planned paths are not driven
+        # Robots replan, so the planned paths are not driven.
+        return line | {"figures": figures, "paths": None, "thickness": 0}
 
     def _line(
         self,
@@ -598,7 +593,7 @@ class Studio:
     def __post_init__(self) -> None:
         if self.first.settings.plan_for != "closed_loop":
             problem = f"plan_for is {self.first.settings.plan_for} in the studio"
-            raise UsageError(problem, source=self.name, expected="closed", fix="omit the setting")
+            raise UsageError(problem, source=self.name, expected="closed_loop", fix="omit the setting")
         cells = self.first.world.threat.size
         if cells > MOST_CELLS:
             problem, fix = f"{cells:,} cells", "coarsen the map (--cell-size, or the scenario's cell_size)"
