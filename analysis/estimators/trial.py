@@ -106,19 +106,6 @@ def closed_truth(
     return known if loop is None or tree is None else _truth_of(tree, loop, plan, world)
 
 
-def closed_tree(
-    plan: Plan,
-    world: World,
-    first_only: bool = False,
-    kept: AllPairs | None = None,
-    seconds: float = 2.0,
-    slack: float = SLACK,
-) -> Tree | None:
-    """The tree of a plan's closed loop with at most `slack` of the cells unknown, or None where that is too dear."""
-    loop = _loop_of(plan, world, first_only, kept)
-    return None if loop is None else tree_of(loop, seconds, slack)
-
-
 def _loop_of(plan: Plan, world: World, first_only: bool, kept: AllPairs | None) -> ClosedLoop | None:
     """What a tree is grown of, or None where there is none, or it would be too dear."""
     from planner.rollouts.closed_loop import compile_closed_loop
@@ -132,7 +119,9 @@ def _loop_of(plan: Plan, world: World, first_only: bool, kept: AllPairs | None) 
 
 
 def tree_of(loop: ClosedLoop, seconds: float, slack: float = SLACK, fine_seconds: float = 0.0) -> Tree | None:
-    """The same of a loop. One history is always worth it: nothing can happen, or one robot is alone.
+    """The tree of a closed loop with at most `slack` of the cells unknown, or None above `seconds`.
+
+    A tree of one history is always grown: nothing can happen, or one robot is alone.
 
     `fine_seconds`: a tree that takes no longer is grown until next to nothing is left.
     """
