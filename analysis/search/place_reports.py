@@ -229,8 +229,10 @@ def _value(place: Place) -> Json:
 
 
 def _place_json(place: Place, depot: bool) -> Json:
-    told = {name: getattr(place, name) for name in ("screen", "one_robot", "coverage", "losses", "behind", "rollouts")}
-    return {"starts": place.starts[:1] if depot else place.starts, **told, **_value(place)}
+    fields = {
+        name: getattr(place, name) for name in ("screen", "one_robot", "coverage", "losses", "behind", "rollouts")
+    }
+    return {"starts": place.starts[:1] if depot else place.starts, **fields, **_value(place)}
 
 
 # `mrac-jax clear`: the threat to remove first, the gain, and every threat on the map and in the table.
@@ -349,10 +351,10 @@ def _clear_table(clearing: Clearing) -> Table:
     for one in _ranked(clearing)[:CLEAR_SHOWN]:
         threat, known = one.threat, one.known
         row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
-        told = ("", "", "") if known is None else (*_columns(known), f"{known.rollouts:,}" if known.rollouts else "")
+        figures = ("", "", "") if known is None else (*_columns(known), f"{known.rollouts:,}" if known.rollouts else "")
         table.add_row(threat.name, *[f"{row},{col}"] * areas, f"{len(threat.cells)}",
-                      chance(threat.p, unit=""), f"{one.hits:.3f}", f"{one.screen:.2f}", *told[:2],
-                      *_columns(one.unknown), told[2])  # fmt: skip
+                      chance(threat.p, unit=""), f"{one.hits:.3f}", f"{one.screen:.2f}", *figures[:2],
+                      *_columns(one.unknown), figures[2])  # fmt: skip
     return table
 
 
@@ -397,8 +399,8 @@ def _clear_json(clearing: Clearing) -> Json:
 
 
 def _clear_threat_json(one: Weighed) -> Json:
-    threat, told = one.threat, {name: getattr(one, name) for name in ("screen", "hits", "known", "unknown", "behind")}
-    return {"name": threat.name, "cells": threat.cells, "p": float(exactly(round(threat.p, 9))), **told}
+    threat, fields = one.threat, {name: getattr(one, name) for name in ("screen", "hits", "known", "unknown", "behind")}
+    return {"name": threat.name, "cells": threat.cells, "p": float(exactly(round(threat.p, 9))), **fields}
 
 
 # `mrac-jax attack`: the worst positions of threats, their cost to a team that knows them or does not, and the map.
@@ -548,5 +550,5 @@ def _place(attack: Attack, threat: Threat) -> list[int]:
 
 
 def _attack_threat_json(attack: Attack, one: Weighed) -> Json:
-    told = {name: getattr(one, name) for name in ("screen", "known", "behind")}
-    return {"cell": _place(attack, one.threat), "hidden": one.unknown, **told}
+    fields = {name: getattr(one, name) for name in ("screen", "known", "behind")}
+    return {"cell": _place(attack, one.threat), "hidden": one.unknown, **fields}

@@ -278,11 +278,11 @@ def _size_json(size: TeamSize) -> Json:
 
 
 def _size_point_json(point: TeamPoint) -> Json:
-    told = {name: getattr(point, name) for name in ("coverage", "chance", "time", "alive", "rollouts")}
+    fields = {name: getattr(point, name) for name in ("coverage", "chance", "time", "alive", "rollouts")}
     return {
         "robots": point.robots,
         "verdict": str(point.verdict),
-        **told,
+        **fields,
         "verdict_interval": point.interval,
         "exact": point.exact,
         "ideal": {"coverage": point.ideal_coverage, "chance": point.ideal_chance},
@@ -532,10 +532,10 @@ def _cheap(front: Front) -> list[int]:
 
 
 def _footnote(front: Front) -> str:
-    settings, luck = counted(len(front.points), "setting"), ", common random numbers" if front.engine else ""
+    settings, shared = counted(len(front.points), "setting"), ", common random numbers" if front.engine else ""
     if front.goal:
         of = f"{len(_cheap(front))} of {settings}"
-        return f"{of}: no other setting covers as much with as few robots lost{luck}. --out and --json list all."
+        return f"{of}: no other setting covers as much with as few robots lost{shared}. --out and --json list all."
     biased = "Each entry is the minimum over many settings on the same rollouts, hence slightly too low. "
     return f"{biased * bool(front.engine)}--out and --json list all {settings}; --losses or --target select one."
 

@@ -171,9 +171,9 @@ def labels_of(case: Case, team: Team, model: RolloutChoices) -> dict[str, Label]
     """Labels of a run for queries: the case's, the number of robots, and the model's."""
     checks = "first_visit" if model.first_only else "every_visit"
     drawn: dict[str, Label] = {"loop": model.loop, "threat_checks": checks}
-    told = dict(case.labels) | {"robots": len(team.starts)} | drawn | {"rollout_seed": model.seed}
+    labels = dict(case.labels) | {"robots": len(team.starts)} | drawn | {"rollout_seed": model.seed}
     rules = _rules(team, model)
-    return told if rules == BEFORE else told | {RULES: RELEASES[rules]}
+    return labels if rules == BEFORE else labels | {RULES: RELEASES[rules]}
 
 
 def generated_case(

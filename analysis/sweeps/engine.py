@@ -343,11 +343,11 @@ def is_older(run: Run, store: Store, homes: dict[str, bool]) -> bool | None:
             homes[setting] = tally is not None and len(tally.home) > 0
         if homes[setting]:
             return True
-    told = what.get("plan_on")
+    plan_on = what.get("plan_on")
     if what.get("phases") is not None:
-        return told in (None, "now")
+        return plan_on in (None, "now")
     if what.get("moving_threats") is not None:
-        return told is None
+        return plan_on is None
     in_doubt = any(what.get(name) is not None for name in ("latent_hazard", "map_uncertainty"))
     return None if CHANGES in world and not in_doubt else False
 

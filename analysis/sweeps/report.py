@@ -257,8 +257,8 @@ def sweep_json(sweep: Sweep) -> Json:
 
 def results_json(results: Results) -> Json:
     """The store, the common labels of its runs, and the rows."""
-    told = {name: getattr(results, name) for name in ("store", "runs", "common", "pooled", "notes")}
-    return {**told, "settings": [row_json(row) for row in results.rows]}
+    fields = {name: getattr(results, name) for name in ("store", "runs", "common", "pooled", "notes")}
+    return {**fields, "settings": [row_json(row) for row in results.rows]}
 
 
 def rows_csv(rows: Sequence[Row]) -> str:

@@ -500,9 +500,9 @@ def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
 
 def _in_order(group: Group) -> Group:
     """Maps by their labels, and each map's runs by theirs, so that sums do not depend on the order of execution."""
-    told = {name: sorted(parts, key=lambda part: [_order(one) for one in (*part.setting, part.seed)])
+    ordered = {name: sorted(parts, key=lambda part: [_order(one) for one in (*part.setting, part.seed)])
             for name, parts in group.items()}  # fmt: skip
-    return dict(sorted(told.items(), key=lambda one: (one[0][0], _order(one[0][1]))))
+    return dict(sorted(ordered.items(), key=lambda one: (one[0][0], _order(one[0][1]))))
 
 
 def _pooled_notes(seen: dict[str, set[Label]], wanted: Sequence[str], pooled: Sequence[str]) -> list[str]:

@@ -475,8 +475,8 @@ class Runs:
         """Start: rollouts from 0 with a seed, else the next ones; at first of a random seed."""
         rollouts = self._next.begin(seed)
         self._seed = np.asarray(key_of(self._next.seed), np.uint32)
-        self.state, told = self._begin(self._seed, rollouts)
-        return Told(*jax.device_get(told))
+        self.state, batch = self._begin(self._seed, rollouts)
+        return Told(*jax.device_get(batch))
 
     @fixed_flags()
     def step(self, actions: ArrayLike) -> Told:
@@ -488,8 +488,8 @@ class Runs:
             raise RuntimeError("step before reset")
         given = checked_actions(actions, (self._next.count, self.env.num_agents), len(ACTIONS))
         rollouts = self._next.after(np.asarray(self.state.done))
-        self.state, told = self._advance(self._seed, rollouts, self.state, given.astype(np.int32))
-        return Told(*jax.device_get(told))
+        self.state, batch = self._advance(self._seed, rollouts, self.state, given.astype(np.int32))
+        return Told(*jax.device_get(batch))
 
     def _began(self, seed: jax.Array, rollouts: jax.Array) -> tuple[State, tuple[jax.Array, ...]]:
         states = jax.vmap(self.env.begin, (None, 0))(seed, rollouts)

@@ -51,19 +51,19 @@ class TeamEnv(gymnasium.Env):
     ) -> tuple[NDArray, dict[str, Any]]:
         """Observations of all robots at t = 0; `seed`: its rollouts 0, 1, ... with the random numbers of `evaluate`."""
         super().reset(seed=seed)
-        told = self._runs.reset(seed)
-        return told.seen[0], self._info(told)
+        batch = self._runs.reset(seed)
+        return batch.seen[0], self._info(batch)
 
     def step(self, action: ArrayLike) -> tuple[NDArray, float, bool, bool, dict[str, Any]]:
         """A team step with actions `[K]`. Raises UsageError for an action out of range."""
         env = self._runs.env
         given = checked_actions(action, (env.num_agents,), env.action_space(env.agents[0]).n)
-        told = self._runs.step(given[None])
-        cut = bool(told.truncated[0])
-        return told.seen[0], float(told.rewards[0].sum()), bool(told.done[0]) and not cut, cut, self._info(told)
+        batch = self._runs.step(given[None])
+        cut = bool(batch.truncated[0])
+        return batch.seen[0], float(batch.rewards[0].sum()), bool(batch.done[0]) and not cut, cut, self._info(batch)
 
-    def _info(self, told: Told) -> dict[str, Any]:
-        return {"action_mask": told.legal[0].astype(np.int8), **told.figures(0)}
+    def _info(self, batch: Told) -> dict[str, Any]:
+        return {"action_mask": batch.legal[0].astype(np.int8), **batch.figures(0)}
 
     def render(self) -> NDArray[np.uint8] | None:
         """A picture `[H, W, 3]`, with `render_mode="rgb_array"`."""
@@ -89,21 +89,21 @@ class TeamVectorEnv(VectorEnv):
     ) -> tuple[NDArray, dict[str, Any]]:
         """Start all; with a seed, its rollouts 0 .. B - 1."""
         super().reset(seed=seed)
-        told = self._runs.reset(seed)
-        return told.seen, self._info(told)
+        batch = self._runs.reset(seed)
+        return batch.seen, self._info(batch)
 
     def step(self, actions: ArrayLike) -> tuple[NDArray, NDArray, NDArray, NDArray, dict[str, Any]]:
         """A step of all with actions `[B, K]`. Raises UsageError for an action out of range."""
-        told = self._runs.step(actions)
-        rewards = told.rewards.sum(axis=1).astype(np.float64)
-        return told.seen, rewards, told.done & ~told.truncated, told.truncated, self._info(told)
+        batch = self._runs.step(actions)
+        rewards = batch.rewards.sum(axis=1).astype(np.float64)
+        return batch.seen, rewards, batch.done & ~batch.truncated, batch.truncated, self._info(batch)
 
-    def _info(self, told: Told) -> dict[str, Any]:
+    def _info(self, batch: Told) -> dict[str, Any]:
         return {
-            "action_mask": told.legal.astype(np.int8),
-            "covered": told.covered,
-            "lost": told.lost,
-            "step": told.step,
+            "action_mask": batch.legal.astype(np.int8),
+            "covered": batch.covered,
+            "lost": batch.lost,
+            "step": batch.step,
         }
 
 

@@ -42,9 +42,9 @@ class CoverageParallelEnv(ParallelEnv):
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray], dict[str, dict[str, Any]]]:
         """Observations and infos at t = 0."""
-        told = self._runs.reset(seed)
+        batch = self._runs.reset(seed)
         self.agents = list(self.possible_agents)
-        return self._of_agents(told.seen[0]), self._infos(told)
+        return self._of_agents(batch.seen[0]), self._infos(batch)
 
     def step(self, actions: dict[str, Any]) -> Dicts:
         """Observations, rewards, terminations, truncations and infos of the present agents.
@@ -54,14 +54,14 @@ class CoverageParallelEnv(ParallelEnv):
         check_agents(actions, self.possible_agents, self.agents)
         spaces = ((name, int(space.n)) for name, space in self.action_spaces.items())
         given = [checked_actions(actions.get(name, 0), (), count, f"action of {name}") for name, count in spaces]
-        told = self._runs.step([given])
-        ended, cut = bool(told.done[0] and not told.truncated[0]), bool(told.truncated[0])
-        alive = dict(zip(self.possible_agents, told.alive[0].tolist(), strict=True))
+        batch = self._runs.step([given])
+        ended, cut = bool(batch.done[0] and not batch.truncated[0]), bool(batch.truncated[0])
+        alive = dict(zip(self.possible_agents, batch.alive[0].tolist(), strict=True))
         before = list(self.agents)
-        rewards = self._of_agents(told.rewards[0].tolist())
+        rewards = self._of_agents(batch.rewards[0].tolist())
         terminations = {name: ended or not alive[name] for name in before}
         truncations = {name: cut and alive[name] for name in before}
-        seen, infos = self._of_agents(told.seen[0]), self._infos(told)
+        seen, infos = self._of_agents(batch.seen[0]), self._infos(batch)
         self.agents = [name for name in before if not terminations[name] and not truncations[name]]
         return seen, rewards, terminations, truncations, infos
 
@@ -69,9 +69,9 @@ class CoverageParallelEnv(ParallelEnv):
         """The values of the agents that are still present."""
         return {name: of for name, of in zip(self.possible_agents, each, strict=True) if name in self.agents}
 
-    def _infos(self, told: Told) -> dict[str, dict[str, Any]]:
-        of_all = told.figures(0)
-        masks = self._of_agents(told.legal[0].astype(np.int8))
+    def _infos(self, batch: Told) -> dict[str, dict[str, Any]]:
+        of_all = batch.figures(0)
+        masks = self._of_agents(batch.legal[0].astype(np.int8))
         return {name: {"action_mask": mask, **of_all} for name, mask in masks.items()}
 
     def render(self) -> NDArray[np.uint8] | None:

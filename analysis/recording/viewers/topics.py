@@ -345,15 +345,15 @@ def layout_json(world: World, robots: int) -> str:
 
 def _show_truth(layout: Json) -> None:
     """Add a panel with the true map next to the team's map and its unseen cells, with a common camera."""
-    panels, told = layout["configById"], layout["configById"]["3D!threat"]
-    told["lichtblickPanelTitle"] = "The team's map; dark: not seen yet"
-    topics = {name: shown for name, shown in told["topics"].items() if name not in ("/map/threat", "/map/obstacles")}
+    panels, panel = layout["configById"], layout["configById"]["3D!threat"]
+    panel["lichtblickPanelTitle"] = "The team's map; dark: not seen yet"
+    topics = {name: shown for name, shown in panel["topics"].items() if name not in ("/map/threat", "/map/obstacles")}
     as_painted = {"visible": True, "colorMode": "rgba-fields"}
-    panels["3D!truth"] = told | {
+    panels["3D!truth"] = panel | {
         "lichtblickPanelTitle": "True map, and paths driven",
         "topics": {"/map/truth": as_painted} | topics,
     }
-    told["topics"]["/map/fog"] = as_painted
+    panel["topics"]["/map/fog"] = as_painted
     maps = layout["layout"]["first"]
     layout["layout"]["first"] = {"direction": "row", "first": "3D!truth", "second": maps, "splitPercentage": 33.3}
 
