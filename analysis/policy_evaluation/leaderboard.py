@@ -173,7 +173,7 @@ WANTED = "policy"
 
 
 @dataclass(frozen=True)
-class Own:
+class GivenPolicy:
     """A given policy.
 
     Attributes:
@@ -192,17 +192,17 @@ class Own:
         return load_policy(self.given) if isinstance(self.given, Path) else self.given
 
 
-def own_of(given: Callable[..., Any] | Rule | str | Path, actions: Literal["moves", "areas"]) -> Own:
+def own_of(given: Callable[..., Any] | Rule | str | Path, actions: Literal["moves", "areas"]) -> GivenPolicy:
     """The given policy, loaded once as a check. Raises InputError."""
     if isinstance(given, str | Path):
         load_policy(Path(given))
-        return Own(Path(given).stem, str(given), Path(given), actions)
+        return GivenPolicy(Path(given).stem, str(given), Path(given), actions)
     if isinstance(given, Rule):
-        return Own(given.name, given.name, given)
+        return GivenPolicy(given.name, given.name, given)
     if not callable(given):
         raise UsageError(argument("policy", given), expected="a function of observations, a Rule, or a file")
     name = getattr(given, "__name__", type(given).__name__)
-    return Own(name, name, given, actions)
+    return GivenPolicy(name, name, given, actions)
 
 
 def load_policy(path: Path) -> Callable[..., Any] | Rule:
@@ -324,19 +324,19 @@ def choose(only: str | Sequence[str] | None) -> tuple[str, ...]:
 
 TIMES = 4
 """A mission ends after this number of steps for each accessible cell."""
-RESERVE = 0.25
+RISK_CAP = 0.25
 PER_CELL = Settings(policy="per_cell")
-OURS = {
+PLANNER_ENTRIES = {
     "mrac": (Settings(), "closed"),
     "mrac, open loop": (Settings(), "open"),
     "per_cell": (PER_CELL, "closed"),
-    "per_cell+reserve": (replace(PER_CELL, risk_cap=RESERVE), "closed"),
+    "per_cell+reserve": (replace(PER_CELL, risk_cap=RISK_CAP), "closed"),
 }
 """The planner's entries: settings, and the loop in which the plan is simulated."""
 
 
 @dataclass(frozen=True)
-class Asked:
+class SuiteRun:
     """The entries and rollouts of a run of the suite.
 
     Attributes:
@@ -345,13 +345,13 @@ class Asked:
 
     rollouts: int
     seed: int
-    own: Own | None
+    own: GivenPolicy | None
     plans: Mapping[str, Mapping[str, Path]]
 
 
 def run_suite(
     names: tuple[str, ...],
-    own: Own | None,
+    own: GivenPolicy | None,
     plans: Mapping[str, str | Path],
     rollouts: int,
     seed: int,
@@ -364,9 +364,9 @@ def run_suite(
     InputError.
     """
     RolloutChoices(rollouts=rollouts, seed=seed)
-    if own is not None and own.name in (RANDOM, *OURS):
+    if own is not None and own.name in (RANDOM, *PLANNER_ENTRIES):
         raise UsageError(f"a policy with the name {own.name!r}", source=own.said, expected="a name of no other entry")
-    asked = Asked(rollouts, seed, own, plan_files(plans, names))
+    asked = SuiteRun(rollouts, seed, own, plan_files(plans, names))
     wanted = wanted_for(None if own is None else own.given, processes, len(names))
     begun, found, partial_answer = time.monotonic(), {}, False
     largest = sorted(names, key=lambda name: -suite_world(name).threat.size)
@@ -382,7 +382,7 @@ def run_suite(
     return Standing(worlds, rollouts, seed, None if own is None else own.name, time.monotonic() - begun, partial_answer)
 
 
-def play(asked: Asked, name: str) -> Played:
+def play(asked: SuiteRun, name: str) -> Played:
     """All entries on one world. Raises InputError that names a policy and the world."""
     world = suite_world(name)
     assert world.starts is not None
@@ -392,7 +392,7 @@ def play(asked: Asked, name: str) -> Played:
     plans = {planner: _read_external(files[name], world) for planner, files in asked.plans.items() if name in files}
     rolled = {} if asked.own is None else {asked.own.name: _own(asked.own, world, make_env, choices)}
     rolled[RANDOM] = _policy(make_env(), None, choices)
-    for rival, (settings, loop) in OURS.items():
+    for rival, (settings, loop) in PLANNER_ENTRIES.items():
         rolled[rival] = _plan(world, plan_team(world, world.starts, settings), loop, choices)
     for planner, plan in plans.items():
         rolled |= {f"{planner}, {loop} loop": _plan(world, plan, loop, choices) for loop in ("open", "closed")}
@@ -400,7 +400,7 @@ def play(asked: Asked, name: str) -> Played:
     return Played(name, len(world.starts), cells, most_cells(world, world.starts, flow=True), best, rolled)
 
 
-def _own(own: Own, world: World, make_env: Any, choices: RolloutChoices) -> Rolled:
+def _own(own: GivenPolicy, world: World, make_env: Any, choices: RolloutChoices) -> Rolled:
     assert world.starts is not None
     policy = own.load()
     try:

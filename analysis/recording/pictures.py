@@ -73,11 +73,11 @@ from planner.world.world import World
 
 # The static parts of a rollout's picture: layout, legends and texts.
 
-NOBODY = SAFE
+UNASSIGNED = SAFE
 BEFORE = "#c3c7cc"
 LOST = "#b3263a"
 FOG_ALPHA = 0.8
-MOVER = "#e2264d"
+MOVING = "#e2264d"
 VISITED, SURVIVED = "#2f62a6", "#7fb2d9"
 Box = tuple[float, float, float, float]
 
@@ -147,7 +147,7 @@ def draw_threat(
     return image, painted
 
 
-def _area_handles(has_areas: bool, before: bool, fog: bool, movers: bool) -> tuple[Patch | Line2D, ...]:
+def _area_handles(has_areas: bool, before: bool, fog: bool, moving: bool) -> tuple[Patch | Line2D, ...]:
     """The legend of the areas' map, which is painted step by step. `before`: some cells were covered earlier."""
     hue = np.array([to_rgba("#0072b2")[:3]])
     entries = [(tint(hue, 0.62)[0], "covered, in the robot's colour")]
@@ -155,11 +155,11 @@ def _area_handles(has_areas: bool, before: bool, fog: bool, movers: bool) -> tup
         entries += [(tint(hue, 0.3)[0], "assigned to that robot")]
     if before:
         entries += [(to_rgba(BEFORE)[:3], "covered before")]
-    entries += [(NOBODY, "unassigned" if has_areas else "not covered"), (OBSTACLE, "obstacle")]
+    entries += [(UNASSIGNED, "unassigned" if has_areas else "not covered"), (OBSTACLE, "obstacle")]
     entries += [(to_rgb(FOG), "not seen yet")] if fog else []
     patches = [Patch(facecolor=colour, edgecolor=FAINT, linewidth=0.4, label=label) for colour, label in entries]
     look: Look = {"linestyle": "", "marker": "D", "markersize": 5, "markeredgecolor": "white"}
-    return (*patches, *([Line2D([], [], color=MOVER, label="moving threat", **look)] if movers else []))
+    return (*patches, *([Line2D([], [], color=MOVING, label="moving threat", **look)] if moving else []))
 
 
 def draw_fog(axes: Axes, shape: tuple[int, int]) -> AxesImage:
@@ -168,10 +168,10 @@ def draw_fog(axes: Axes, shape: tuple[int, int]) -> AxesImage:
     return axes.imshow(sheet, interpolation="nearest", zorder=1, alpha=np.full(shape, FOG_ALPHA))
 
 
-def draw_movers(axes: Axes, points: float) -> PathCollection:
+def draw_moving_threats(axes: Axes, points: float) -> PathCollection:
     """Moving threats without positions; `points`: size of a cell."""
     size = float(np.clip(0.7 * points, 3.0, 9.0))
-    return axes.scatter([], [], s=size**2, marker="D", color=MOVER, edgecolors="white", linewidths=0.5, zorder=3.5)
+    return axes.scatter([], [], s=size**2, marker="D", color=MOVING, edgecolors="white", linewidths=0.5, zorder=3.5)
 
 
 def draw_coverage(axes: Axes, frames: Frames, total: int) -> list[Line2D]:
@@ -231,9 +231,9 @@ class RolloutPicture:
         has_areas = self._next_map is not None
         self._events_at = self._frames.events_by_step()
         robots = trace.cells.shape[1]
-        colours = np.array([to_rgb(robot_style(robot)[0]) for robot in range(robots)] + [to_rgb(NOBODY)])
+        colours = np.array([to_rgb(robot_style(robot)[0]) for robot in range(robots)] + [to_rgb(UNASSIGNED)])
         self._covered, self._promised = tint(colours, 0.62), tint(colours, 0.3)
-        self._promised[NO_ROBOT], self._covered[NO_ROBOT] = to_rgb(NOBODY), to_rgb(BEFORE)
+        self._promised[NO_ROBOT], self._covered[NO_ROBOT] = to_rgb(UNASSIGNED), to_rgb(BEFORE)
 
         boxes = boxes_for(world.shape)
         self.figure = new_figure(boxes.size, dpi)
@@ -245,7 +245,7 @@ class RolloutPicture:
         points = cell_points(threat_axes, world.shape)
         self._fog = [draw_fog(axes, world.shape) for axes in (threat_axes, areas_axes) if self._found is not None]
         self._ways = ways_of_movers(stage.world, stage.seed, trace.rollout, len(trace.cells))
-        self._movers = [draw_movers(axes, points) for axes in (threat_axes, areas_axes) if self._ways.size]
+        self._threats = [draw_moving_threats(axes, points) for axes in (threat_axes, areas_axes) if self._ways.size]
         self._paths = [_path_line(threat_axes, robot, robots, points) for robot in range(robots)]
         self._markers = [_Markers(axes, robots, points) for axes in (threat_axes, areas_axes)]
         self._curves = draw_coverage(coverage, self._frames, int(self._accessible.sum()))
@@ -267,8 +267,8 @@ class RolloutPicture:
         if self._found is not None:
             for fog in self._fog:
                 fog.set_alpha(np.where(self._found.seen(step), 0.0, FOG_ALPHA))
-        for movers in self._movers:
-            movers.set_offsets(np.stack(np.divmod(self._ways[step], self._shape[1])[::-1], axis=1))
+        for threats in self._threats:
+            threats.set_offsets(np.stack(np.divmod(self._ways[step], self._shape[1])[::-1], axis=1))
         rows, cols = np.divmod(self._trace.cells[: step + 1], self._shape[1])
         for robot, line in enumerate(self._paths):
             shift = lane(robot, len(self._paths))
@@ -301,7 +301,7 @@ class RolloutPicture:
         marks = [artist for markers in self._markers for artist in markers.artists]
         return [
             *([self._ground] if len(self._painted) > 1 else []),
-            self._image, *self._fog, *self._paths, *self._movers, *marks, *self._curves, self._losses,
+            self._image, *self._fog, *self._paths, *self._threats, *marks, *self._curves, self._losses,
             self._title, self._subtitle, *self._lines,
         ]  # fmt: skip
 

@@ -229,10 +229,8 @@ def _value(place: Place) -> Json:
 
 
 def _place_json(place: Place, depot: bool) -> Json:
-    fields = {
-        name: getattr(place, name) for name in ("screen", "one_robot", "coverage", "losses", "behind", "rollouts")
-    }
-    return {"starts": place.starts[:1] if depot else place.starts, **fields, **_value(place)}
+    facts = {name: getattr(place, name) for name in ("screen", "one_robot", "coverage", "losses", "behind", "rollouts")}
+    return {"starts": place.starts[:1] if depot else place.starts, **facts, **_value(place)}
 
 
 # `mrac-jax clear`: the threat to remove first, the gain, and every threat on the map and in the table.
@@ -399,8 +397,8 @@ def _clear_json(clearing: Clearing) -> Json:
 
 
 def _clear_threat_json(one: Weighed) -> Json:
-    threat, fields = one.threat, {name: getattr(one, name) for name in ("screen", "hits", "known", "unknown", "behind")}
-    return {"name": threat.name, "cells": threat.cells, "p": float(exactly(round(threat.p, 9))), **fields}
+    threat, facts = one.threat, {name: getattr(one, name) for name in ("screen", "hits", "known", "unknown", "behind")}
+    return {"name": threat.name, "cells": threat.cells, "p": float(exactly(round(threat.p, 9))), **facts}
 
 
 # `mrac-jax attack`: the worst positions of threats, their cost to a team that knows them or does not, and the map.
@@ -550,5 +548,5 @@ def _place(attack: Attack, threat: Threat) -> list[int]:
 
 
 def _attack_threat_json(attack: Attack, one: Weighed) -> Json:
-    fields = {name: getattr(one, name) for name in ("screen", "known", "behind")}
-    return {"cell": _place(attack, one.threat), "hidden": one.unknown, **fields}
+    facts = {name: getattr(one, name) for name in ("screen", "known", "behind")}
+    return {"cell": _place(attack, one.threat), "hidden": one.unknown, **facts}

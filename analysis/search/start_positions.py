@@ -284,7 +284,7 @@ def spread_out(cells: Cells, most: int = 256) -> Cells:
     return cells[np.concatenate([np.array(order, dtype=np.int64), rest])]
 
 
-def in_turn(sites: Sequence[NDArray[np.int64]]) -> Iterator[NDArray[np.int64]]:
+def round_robin(sites: Sequence[NDArray[np.int64]]) -> Iterator[NDArray[np.int64]]:
     """The first item of every site, then the second of every one, ..."""
     for row in zip_longest(*map(list, sites)):
         yield from (item for item in row if item is not None)
@@ -344,7 +344,7 @@ def depots_of(
     order = np.argsort(-bounds, kind="stable").tolist()
     ordered = [sites[site] for site in order]
     planned = {}
-    for cell in islice(in_turn(ordered), PLANNED):
+    for cell in islice(round_robin(ordered), PLANNED):
         alone = make_plan(world, cell[None], settings.alone)
         known = open_loop_exact(alone, world)
         own = known.visited if world.value is None else float(Worth.of(world).value @ known.visited_by_cell)
@@ -356,7 +356,7 @@ def depots_of(
     ]
 
 
-def worth_simulating(places: Sequence[Place], sites: Sequence[NDArray[np.int64]]) -> list[int]:
+def depots_to_simulate(places: Sequence[Place], sites: Sequence[NDArray[np.int64]]) -> list[int]:
     """Indices of the depots to simulate: SHARED from the sites in rotation, then by eq. (4) of the nearest planned one.
 
     Eq. (4) hardly varies within a site; depots with equal values are spread out.
@@ -373,7 +373,7 @@ def worth_simulating(places: Sequence[Place], sites: Sequence[NDArray[np.int64]]
             expected[numbers] = values[near.argmin(axis=1)]
             leaders.append(known[np.argsort(-values, kind="stable")])
     leaders.sort(key=lambda numbers: (-expected[numbers[0]], numbers[0]))
-    chosen = [int(number) for number in islice(in_turn(leaders), SHARED)]
+    chosen = [int(number) for number in islice(round_robin(leaders), SHARED)]
     for value in np.unique(expected[np.isfinite(expected)])[::-1]:
         alike = np.setdiff1d(np.flatnonzero(expected == value), chosen)
         if len(alike) and len(chosen) < SIMULATED:
@@ -496,7 +496,7 @@ def _places(world: World, robots: int, settings: Settings, cells: NDArray[np.int
     sites = sites_of(world, cells)
     reached = reached_from(world, sites)
     depots = depots_of(world, robots, settings, sites, reached)
-    for place in worth_simulating(depots, sites):
+    for place in depots_to_simulate(depots, sites):
         depots[place] = replace(depots[place], entered=True)
     found = {} if not depot else {place.starts.tobytes(): place for place in depots}
     if not depot:
@@ -532,7 +532,7 @@ class _Field:
         self.now = [number for number in self.entered if places[number].now]
         self.cells = int(world.accessible(places[0].starts).sum())
         depots = {self.contender(number) for number in self.entered if places[number].is_depot}
-        hers = {self.contender(number) for number in self.now}
+        present = {self.contender(number) for number in self.now}
         self.able = depots if depot else range(len(self.entered))
         pairs = AllPairs()
 
@@ -542,7 +542,7 @@ class _Field:
         self.race = Halving(
             [partial(enter, number) for number in self.entered],
             choices.rollouts,
-            kept=[group for group in (depots, hers) if group],
+            kept=[group for group in (depots, present) if group],
         )
 
     def contender(self, place: int) -> int:

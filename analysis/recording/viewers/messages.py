@@ -224,27 +224,27 @@ def add_fields(message: Any, fields: np.dtype) -> None:
 #
 # Axis letters: `T` = time + 1 steps, `M` moving threats.
 
-_MOVERS_POINT = np.dtype([*((axis, "<f4") for axis in "xyz"), *RGBA.descr])
-MOVERS_HEIGHT, SIDE = 0.5, 0.7
+_THREAT_POINT = np.dtype([*((axis, "<f4") for axis in "xyz"), *RGBA.descr])
+THREAT_HEIGHT, SIDE = 0.5, 0.7
 """Height above the ground, and side of a cube, in cells."""
 
 
-class MoverDrawer:
+class MovingThreatDrawer:
     """Draws the moving threats of one rollout."""
 
     def __init__(self, world: World, ways: NDArray[np.int64]) -> None:
         """`ways` `[T, M]`: the cell of each threat at the end of each step; nothing is drawn if M is 0."""
         self._xy, self._scene = world.to_xy(ways), SceneUpdate()
-        self._cloud = PointCloud(frame_id=FRAME, point_stride=_MOVERS_POINT.itemsize)
+        self._cloud = PointCloud(frame_id=FRAME, point_stride=_THREAT_POINT.itemsize)
         self._cloud.pose.orientation.w = 1.0
         self._cloud.pose.position.SetInParent()
-        add_fields(self._cloud, _MOVERS_POINT)
-        self._points = np.zeros(ways.shape[1], dtype=_MOVERS_POINT)
-        self._points["z"], self._points["alpha"] = MOVERS_HEIGHT * world.cell_size, 255
+        add_fields(self._cloud, _THREAT_POINT)
+        self._points = np.zeros(ways.shape[1], dtype=_THREAT_POINT)
+        self._points["z"], self._points["alpha"] = THREAT_HEIGHT * world.cell_size, 255
         self._points["red"], self._points["green"], self._points["blue"] = topics.MOVER
         for number in range(ways.shape[1]):
             cube = self._scene.entities.add(frame_id=FRAME, id=f"mover {number}").cubes.add()
-            cube.pose.orientation.w, cube.pose.position.z = 1.0, MOVERS_HEIGHT * world.cell_size
+            cube.pose.orientation.w, cube.pose.position.z = 1.0, THREAT_HEIGHT * world.cell_size
             cube.size.x = cube.size.y = cube.size.z = SIDE * world.cell_size
             cube.color.r, cube.color.g, cube.color.b = (part / 255 for part in topics.MOVER)
             cube.color.a = 1.0
@@ -423,7 +423,7 @@ GRID_BYTES = 2**26
 """Limit of the size of a rollout's grids, before compression; above it, they are written at fewer steps."""
 
 
-Said = Iterator[tuple[str, Any]]
+Messages = Iterator[tuple[str, Any]]
 """Topics and messages at one time: a protobuf message, or the bytes of another."""
 
 
@@ -447,7 +447,7 @@ class RolloutDrawer:
         self.frames: Frames = make_frames(trace, state)
         self.map = MapDrawer(world, accessible)
         self.robots = RobotDrawer(world, trace.cells, self.frames.alive)
-        self.movers = MoverDrawer(world, ways_of_movers(world, stage.seed, trace.rollout, trace.time + 1))
+        self.moving = MovingThreatDrawer(world, ways_of_movers(world, stage.seed, trace.rollout, trace.time + 1))
         self.driven = PathLines(world, trace.cells.shape[1], "driven", DRIVEN_HEIGHT, 1.0, 2.0)
         self.cuts = self.frames.events_by_step()
         self.areas, self.open_areas = stage.area_maps(trace), 0
@@ -460,7 +460,7 @@ class RolloutDrawer:
         self.every = -(-steps * size // GRID_BYTES)
         self.driven_every, self.paths_every = (-(-steps // looks) for looks in (DRIVEN_LOOKS, DRIVEN_PATHS))
 
-    def said(self, time: int, step: int) -> Said:
+    def said(self, time: int, step: int) -> Messages:
         """All messages of one step; steps must be consecutive."""
         if step == 0:
             yield from self._begin(time)
@@ -480,7 +480,7 @@ class RolloutDrawer:
         if step == self.trace.time:
             yield from self._end(time)
 
-    def _begin(self, time: int) -> Said:
+    def _begin(self, time: int) -> Messages:
         stage, trace = self.stage, self.trace
         if stage.plan.state is not None:  # in the colour of an additional robot: a state does not store the visitor
             before = stage.plan.state.visited.astype(np.int32)
@@ -501,13 +501,13 @@ class RolloutDrawer:
             xy, yaw = stage.world.to_xy(path.astype(np.int32)), headings(path.astype(np.int64), stage.world)
             yield f"/robots/{number}/plan", topics.path(time, self.stamps[: len(path)], xy, yaw)
 
-    def _known(self, time: int) -> Said:
+    def _known(self, time: int) -> Messages:
         """The team's map."""
         yield "/map/threat", self.map.threat(time)
         yield "/map/threat_occ", self.map.threat_occupancy(time)
         yield "/map/obstacles", self.map.obstacles(time)
 
-    def _discovered(self, discovery: Discovery, time: int, step: int) -> Said:
+    def _discovered(self, discovery: Discovery, time: int, step: int) -> Messages:
         """The team's map and the unseen cells, if they changed."""
         if step == 0 or ((discovery.when > self.shown) & (discovery.when <= step)).any():
             self.map.believe(discovery.believed(step), discovery.seen(step))
@@ -515,7 +515,7 @@ class RolloutDrawer:
             yield "/map/fog", self.map.fog(time, discovery.when)
             self.shown = step
 
-    def _data(self, time: int, step: int) -> Said:
+    def _data(self, time: int, step: int) -> Messages:
         """The exact topics of one step, and its events as text."""
         trace, frames = self.trace, self.frames
         state = topics.Step(rollout=trace.rollout, step=step, cells=trace.cells[step].tolist())
@@ -531,7 +531,7 @@ class RolloutDrawer:
             line = event_line(row, self.stage.world, self.stage.plan)
             yield "/events", _log(time, line.level, f"robot {robot}", line.text)
 
-    def _map(self, time: int, step: int) -> Said:
+    def _map(self, time: int, step: int) -> Messages:
         """Grids of visits and areas."""
         trace, frames = self.trace, self.frames
         entered = trace.cells[step][frames.moved[step]]
@@ -545,11 +545,11 @@ class RolloutDrawer:
                 yield "/areas_voxels", self.map.areas_voxels(time)
                 self.map.changed = False
 
-    def _drawn(self, time: int, step: int) -> Said:
+    def _drawn(self, time: int, step: int) -> Messages:
         """Robots and figures."""
         trace, frames = self.trace, self.frames
         yield from self.robots.messages(time, step)
-        yield from self.movers.messages(time, step)
+        yield from self.moving.messages(time, step)
         changed = np.ones(len(trace.cells[0]), dtype=np.bool_)
         if step > 0:
             changed = (trace.cells[step] != trace.cells[step - 1]) | (frames.alive[step] != frames.alive[step - 1])
@@ -570,14 +570,14 @@ class RolloutDrawer:
     def _looks(self, step: int, every: int) -> bool:
         return step % every == 0 or step == self.trace.time
 
-    def _paths(self, time: int, step: int) -> Said:
+    def _paths(self, time: int, step: int) -> Messages:
         """The path of each robot so far."""
         for robot in range(min(self.trace.cells.shape[1], MOST_PATHS)):
             entered = np.flatnonzero(self.frames.moved[: step + 1, robot])
             xy, yaw = self.robots.xy[entered, robot], self.robots.yaw[entered, robot]
             yield f"/robots/{robot}/driven", topics.path(time, self.stamps[entered], xy, yaw)
 
-    def _end(self, time: int) -> Said:
+    def _end(self, time: int) -> Messages:
         trace, frames = self.trace, self.frames
         visited, survived, alive = int(frames.visited[-1]), int(frames.survived[-1]), int(frames.alive_count[-1])
         ended = self.stage.plan.ending(trace.outcome)
