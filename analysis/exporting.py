@@ -120,6 +120,7 @@ def make_mission(world: World, plan: Plan, altitude: float | None = None, speed:
     if speed is None:
         speed = SPEED if world.pace.seconds is None else world.cell_size / world.pace.seconds
     mission = Mission(world, plan, ALTITUDE if altitude is None else altitude, speed)
+    # Check before any file is opened.
     mission.check()
     return mission
 
@@ -289,6 +290,7 @@ def outline(cells: NDArray[np.int64], width: int) -> list[list[Corner]]:
         while True:
             row, col = at
             left = [(-step[1], step[0]), step, (step[1], -step[0])]
+            # At a corner that two cells share, turn right to keep the ring simple.
             turns = left[::-1] if len(ahead[at]) > 1 else ahead[at]
             new = next(turn for turn in turns if turn in ahead[at])
             ahead[at].remove(new)
@@ -730,6 +732,7 @@ def export(mission: Mission, out: Path, form: Format, spare: Iterable[Path] = ()
     for name in names:
         if name.resolve() in read:
             raise UsageError(f"{printable(name)} is an input and would be overwritten", expected="another file")
+    # All contents exist before the first file is written.
     contents = form.contents(mission)
     if is_folder(out):
         try:

@@ -106,6 +106,7 @@ class Dialogue:
         while step or (mission.outcome is None and not mission.awaited_of(self._orders)):
             mission.advance()
             self._orders, step = mission.orders(), False
+        # Save before orders leave: after a crash the same orders must be written again.
         if self._state is not None:
             mission.save(self._state)
         if asked or mission.step > before:
@@ -275,6 +276,7 @@ class DrivenMission(Mission):
         rolls = [make_singles(self.world, self.rest(**way, nominal=False), choices, self._tables) for way in ways]
         if rollouts is not None:
             return [roll(0, rollouts) for roll in rolls]
+        # All alternatives get the same ids, also under a time limit.
         parts = [[roll(0, BLOCK)] for roll in rolls]
         while time.monotonic() < ends:
             for roll, part in zip(rolls, parts, strict=True):

@@ -60,6 +60,7 @@ def unite(bits: jax.Array, rows: jax.Array) -> jax.Array:
     """Joint events of each rollout, uint32 `[B, W]`, from its rows, int32 `[G, B]`; bits: uint32 `[R, W]`."""
     groups, batch = rows.shape
     if bits.shape[1] <= MOST_FUSED_WORDS:
+        # Short rows: XLA fuses the lookup with the reduction.
         return jax.vmap(lambda mine: jax.lax.reduce_or(_rows_at(bits, mine), axes=(0,)), in_axes=1)(rows)
     a_step = next(size for size in range(min(ROWS_A_STEP, groups), 0, -1) if groups % size == 0)
 
@@ -360,6 +361,7 @@ def _joint_outcomes(joint: PaddedDraws, left: jax.Array, rollouts: jax.Array) ->
         entry, outcome, left, spent = state
         for number in (entry + more for more in range(ENTRIES_A_STEP)):
             slot, spot = joint.slot[number], joint.spot[number]
+            # Only live robots are tested, and only where no hazard was removed in this rollout.
             checked = (number < joint.count) & (outcome[slot] == joint.last[slot]) & ~spent[spot]
             exposure = exposure_in_doubt(joint.doubt, rollouts, number, joint.exposure[number])
             exposure = jnp.where(checked[:, None], exposure, jnp.uint32(0))
@@ -393,6 +395,7 @@ def _score(tables: PaddedTables, outcomes: jax.Array, asked: jax.Array) -> tuple
 
 def _count(histogram: jax.Array, values: jax.Array, asked: jax.Array) -> jax.Array:
     """The histogram, int32 `[bins + 1]`, plus the values 0 .. bins - 1 of rollouts in range; others go last."""
+    # Masking by an extra bin keeps the shapes static.
     places = jnp.where(asked, values.astype(jnp.int32), histogram.shape[0] - 1)
     return histogram.at[places].add(1, mode="promise_in_bounds")
 

@@ -766,7 +766,7 @@ def test_the_chance_of_error_is_shared_among_tries(monkeypatch: pytest.MonkeyPat
             assert answer.pick is None and len(asked_for) == 6 == answer.tried
             assert "with confidence 0.95: at most 1.5 of 2 robots lost" in front_headline(answer)
         else:
-            assert answer.tried == tried and "It is the third that was tried" in " ".join(pick_lines(answer))
+            assert answer.tried == tried and "It is the third setting tried" in " ".join(pick_lines(answer))
 
 
 def test_without_a_goal_the_headline_is_of_fresh_rollouts(capsys: pytest.CaptureFixture[str], world_file: str) -> None:

@@ -147,6 +147,7 @@ class Standing(Answer):
         """All entries by rank, then those that lack rollouts on some worlds."""
         names = list(dict.fromkeys(name for played in self.worlds for name in played.rolled))
         scores = {name: [played.scores[name] for played in self.worlds if name in played.scores] for name in names}
+        # The mean is taken by rollout id: worlds share random numbers, so their errors are correlated.
         mean = {name: np.mean(of, axis=0) for name, of in scores.items() if of}
         most = max(map(len, scores.values()), default=0)
         ranked = sorted((name for name in mean if len(scores[name]) == most), key=lambda name: -mean[name].mean())
@@ -369,6 +370,7 @@ def run_suite(
     asked = SuiteRun(rollouts, seed, own, plan_files(plans, names))
     wanted = wanted_for(None if own is None else own.given, processes, len(names))
     begun, found, partial_answer = time.monotonic(), {}, False
+    # Large worlds first: a late large world would leave other processes idle.
     largest = sorted(names, key=lambda name: -suite_world(name).threat.size)
     try:
         for name, played in answers(partial(play, asked), largest, wanted):
@@ -387,6 +389,7 @@ def play(asked: SuiteRun, name: str) -> Played:
     world = suite_world(name)
     assert world.starts is not None
     cells = int(world.accessible(world.starts).sum())
+    # Plans and policies end at the same step, so that their coverage is comparable.
     choices = RolloutChoices(rollouts=asked.rollouts, seed=asked.seed, deadline=TIMES * cells)
     make_env = partial(of_jax("environment"), world, max_steps=TIMES * cells)
     plans = {planner: _read_external(files[name], world) for planner, files in asked.plans.items() if name in files}

@@ -70,6 +70,7 @@ def wanted_for(policy: Any, processes: int | None, tasks: int) -> int:
 def can_be_sent(policy: Any) -> bool:
     """Whether another process can unpickle it: no lambda, and nothing defined in the main script or notebook."""
     try:
+        # Objects of the main script cannot be imported by another process.
         return b"__main__" not in pickle.dumps(policy)
     except Exception:
         return False
@@ -153,6 +154,7 @@ def judge(
 def scores_of(policy: NDArray[np.float64], walk: NDArray[np.float64], bound: float) -> NDArray[np.float64] | None:
     """(J - J_random) / (bound - J_random) of coverage by rollout, `[B]`: the mean is the score, and the scatter is that
     of the ratio, by linearisation (delta method). None if the bound is not above the walk."""
+    # The denominator is estimated too; the linearisation below includes its error.
     room = bound - float(walk.mean())
     if room <= 0 or len(policy) < 2:
         return None

@@ -283,6 +283,7 @@ class LogWriter:
             raise ValueError(f"log time {log_time} after {self._last_time}: messages are written in order")
         if len(data) > MAX_CHUNK // 2:
             raise ValueError(f"a message of {len(data)} bytes; at most {MAX_CHUNK // 2} fit")
+        # Readers limit the size of a chunk.
         if self._waiting + len(data) > MAX_CHUNK // 2:
             self.flush()
         number = self._counts[channel] if sequence is None else sequence
@@ -341,6 +342,7 @@ class LogWriter:
                 schemas, channels = [*self._schemas.values()], [*self._channels.values()]
                 self._stream.write(end + closing(self._written.offset + len(end), schemas, channels, self._indexes))
                 self._stream.flush()
+                # Data must be on disk before the rename makes them the target.
                 os.fsync(self._stream.fileno())
                 self._stream.close()
             if self.partial.exists():
@@ -359,6 +361,7 @@ class LogWriter:
         if index:
             self._indexes.append(index)
         checksum = zlib.crc32(data, before.crc)
+        # A single assignment commits the write, so an interrupt cannot leave a mixed state.
         self._written = _Written(before.offset + len(data), checksum, len(self._indexes), chunk or before.chunk)
 
     def _take_back(self) -> None:
@@ -539,6 +542,7 @@ def pieces(data: memoryview) -> Iterator[Piece]:
         try:
             found = _intact(opcode, data[start + HEAD.size : end]) if end <= len(data) else None
         except Damaged as error:
+            # Bound the cost of false starts, so that the time stays linear.
             work -= error.work
             continue
         if found is not None:

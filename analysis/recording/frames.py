@@ -91,6 +91,7 @@ def make_frames(trace: Trace, state: MissionState | None = None) -> Frames:
     moved[1:] = cells[1:] != cells[:-1]
     alive = trace.doing != Doing.DEAD
     stopped_now = ~alive
+    # A robot is lost in the step in which it is dead for the first time.
     stopped_now[1:] &= alive[:-1]
     steps, robots = np.nonzero(moved)
     passed = ~stopped_now[steps, robots]
@@ -116,6 +117,7 @@ def make_frames(trace: Trace, state: MissionState | None = None) -> Frames:
 def _first(values: NDArray[np.int64], cells: NDArray[np.int32], n: int) -> NDArray[np.int32]:
     """The first of `values` for each cell, int32 `[n]`; NO_STEP (equal to NO_ROBOT)."""
     first = np.full(n, NO_STEP, dtype=np.int32)
+    # In reverse order the first value is written last.
     first[cells[::-1]] = values[::-1]
     return first
 

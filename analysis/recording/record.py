@@ -114,6 +114,7 @@ class Picker:
         firsts = order[np.flatnonzero(np.diff(visited[order], prepend=-1))]
         new = np.stack([results.survived[firsts], results.time[firsts], results.start + firsts], axis=1)
         old = self._top[visited[firsts]]
+        # On ties the earlier id stays.
         better = (old[:, 2] == NO_ROLLOUT) | _above(new, old)
         self._top[visited[firsts][better]] = new[better]
         low = np.flatnonzero(visited == visited.min())
@@ -398,6 +399,7 @@ def _write(
         if not done.rows:
             done.first = trace
         done.rows.append(row)
+        # From the first complete rollout on, an interrupted file is worth keeping.
         log.discard = False
         doing(
             f"writing rollout {len(done.rows) + 1} of {len(ids)}" if len(done.rows) < len(ids) else "closing the file"

@@ -57,6 +57,7 @@ def usual_rollouts(world: World, starts: NDArray[np.int64]) -> int:
     It depends on the map only, so that the same seed gives the same result on any machine.
     """
     cells = int(world.accessible(starts).sum())
+    # A power of two, so that the default does not vary with small changes of the map.
     return max(16, min(USUAL, 1 << (CELLS // cells).bit_length() - 1))
 
 
@@ -175,6 +176,7 @@ def knee(points: Sequence[Figures], low: Figures, high: Figures) -> int | None:
     more, lost = high.coverage - low.coverage, high.losses - low.losses
     if not points or more <= 0 or lost <= 0:
         return None
+    # Distance from the diagonal of the unit square that `low` and `high` span.
     above = [(one.coverage - low.coverage) / more - (one.losses - low.losses) / lost for one in points]
     place = max(range(len(points)), key=above.__getitem__)
     return place if above[place] >= KNEE else None
@@ -296,6 +298,7 @@ class Front(Searched):
         """
         most = max(self.points, key=lambda point: point.coverage.mean)
         fewest = min(point.losses.mean for point in self.points)
+        # Without NEARLY_NONE, noise of 0.001 robots would select a point that covers nearly nothing.
         free = [point for point in self.points if point.losses.mean <= max(fewest, NEARLY_NONE)]
         first = max(free, key=lambda point: (point.coverage.mean, -point.losses.mean))
         if most.coverage.mean <= first.coverage.mean:
@@ -393,6 +396,7 @@ def find_front(
         )
     check_goal(goal or Goal(), len(starts))
     choices = choices.timed(world.pace)
+    # The mission's own deadline also ends the settings without one.
     choices = replace(choices, deadline=settings.deadline if choices.deadline is None else choices.deadline)
     search = _Search(world, starts, settings, choices, goal or Goal(), ladders or Ladders(), progress, doing)
     partial = False
@@ -446,6 +450,7 @@ def quick_points(
     if len(search.dangers):
         for robot_value in descending_ladder(float(search.dangers.max()), float(search.dangers.min()), search.cells):
             point = search.look_at(Setting("per_cell", robot_value=robot_value))
+            # The first setting compiles code, so the time limit starts after it.
             begun = min(begun, clock())
             if point.losses.mean >= losses or clock() - begun >= seconds:
                 break
@@ -501,6 +506,7 @@ class _Search:
         found: dict[tuple[object, ...], Point] = {}
         for setting, point in sorted(self.points.items(), key=lambda item: tuple(item[0].limits.values())):
             own = setting if asked.get(setting.family, True) else None
+            # Points are sorted by their limits, so the lowest of equal limits is kept.
             found.setdefault((setting.family, point.figures, own), point)
         return sorted(found.values(), key=_by_family)
 
@@ -533,6 +539,7 @@ class _Search:
     def _cut(self, setting: Setting, marks: Sequence[float]) -> None:
         """A simulated setting, ended at the steps by which its mean coverage reaches `marks`."""
         covered = self.covered[self._ended(setting)]
+        # argmax is the first step that reaches the mark; `covered` does not decrease.
         steps = {int(np.argmax(covered >= mark)) for mark in marks if covered[-1] >= mark}
         for step in sorted(step for step in steps - {len(covered) - 1} if step >= self.least_deadline):
             self.look_at(setting._replace(deadline=step))
@@ -547,6 +554,7 @@ class _Search:
             all_refused = self.cells / float(self.dangers.min())
             for step in range(MOST_ROBOT_VALUES):
                 point = self.look_at(Setting("per_cell", robot_value=robot_value * 2**step))
+                # Larger values exclude all threats and give the same plan.
                 if point.losses.mean < NEARLY_NONE or robot_value * 2**step > all_refused:
                     return
 
@@ -600,6 +608,7 @@ class _Search:
         if not self.goal:
             return replace(answer, priced=tuple(self._again(point, FIRST_ERROR) for point in answer.corners()))
         order = self.goal.ranked([point.figures for point in answer.points])
+        # A point that fails its bound on the first rollouts would waste a try.
         eligible = [place for place in order if self.goal.allows(answer.points[place].sure)][:TRIES]
         for tried, place in enumerate(eligible, 1):
             again = self._again(answer.points[place], ALPHA / 2**tried)
@@ -619,6 +628,7 @@ class _Search:
         self.doing(f"{setting} on fresh rollouts" if start else f"setting {len(self.points) + 1}, {setting}")
         began, count = time.perf_counter(), self.choices.rollouts
         if self.settings.return_to is None:
+            # Without a return to base the deadline changes no decision: one trial serves all cuts.
             trial = self._trial(setting._replace(deadline=None)).until(setting.deadline)
         else:  # The return depends on the deadline: a truncated mission is not the mission with that deadline.
             trial = self._trial(setting)
@@ -629,6 +639,7 @@ class _Search:
 
     def _trial(self, setting: Setting) -> Trial:
         """The trial of a setting's full mission; the last one is cached."""
+        # Cuts of one setting come one after the other, so one cached trial is enough.
         if self.made is None or self.made[0] != setting:
             plan = allocated_plan(self.world, self.starts, settings_of(self.settings, setting))
             self.made = setting, Trial(self.world, plan, replace(self.choices, deadline=None), self.kept)

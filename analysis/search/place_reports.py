@@ -144,6 +144,7 @@ def _starts_maps(starts: Starts) -> CellMaps:
         covered, known = np.zeros(world.shape), [place for place in starts.simulated if place.counted is not None]
         for place in known:
             covered[tuple(place.starts[0])] = place.counted.mean if place.counted else 0.0
+        # The scale starts at the least simulated coverage: 0 means "not simulated".
         low, high = covered[covered > 0].min(initial=1.0), covered.max()
         about = f"Share {starts.covered} on average if all robots start in the cell; 0 where it was not simulated."
         layers.insert(0, CellLayer("Coverage by depot", about, covered, COVERED, "%", digits=2, short="Depots",
@@ -160,6 +161,7 @@ def _starts_table(starts: Starts) -> Table:
     dropped = ("one robot", "bound", "rollouts", "lost")
     title = "Simulated on common random numbers, the best first"
     table = make_table(columns, title, left=("starts", ""), dropped=dropped, padding=(0, 1, 0, 0))
+    # The present starts are always shown, even below the cut of the table.
     now = [place for place in starts.simulated[STARTS_SHOWN:] if place.now]
     for place in (*starts.simulated[:STARTS_SHOWN], *now):
         alone = "" if place.one_robot is None else f"{place.one_robot:.1f}"

@@ -408,6 +408,7 @@ def pick_lines(front: Front) -> list[str]:
         lines.append(f"It is the {place} setting tried on fresh rollouts; the confidence accounts for all tries.")
     home = front.settings.return_to is not None
     if front.words and reported:
+        # With three points this is the knee.
         point = reported[(len(reported) - 1) // 2]
         lines.append(f"run it: {command_of(front, point)}")
     if again is not None and again.setting.deadline is not None:
@@ -457,6 +458,7 @@ def _front_key_figures(front: Front) -> list[KeyFigure]:
 def _front_chart(front: Front, which: str) -> Chart:
     """Coverage over robots lost, or over steps: a curve for each family, and the selected point as a mark."""
     goal, robots = front.goal, which == "losses"
+    # Points far below the front would only stretch the axes.
     least = min(front.points[place].coverage.mean for place in _cheap(front))  # points below are far from the front
     seen = [point for point in front.points if point.coverage.mean >= least]
     shown = [(name, [p for p in seen if p.setting.family == family]) for family, name in TITLES.items()]

@@ -173,6 +173,7 @@ def border(world: World) -> NDArray[np.bool_]:
     """bool `[H, W]`: cells without threat on the edge of the map, or next to obstacles connected to it, like a sea."""
     around, _ = ndimage.label(np.pad(~world.free, 1, constant_values=True), structure=FOUR_NEIGHBOURS)
     near = ndimage.binary_dilation(around == around[0, 0], FOUR_NEIGHBOURS)[1:-1, 1:-1]
+    # The border region includes obstacles that touch the edge, as a sea does.
     return near & (world.threat == 0)
 
 
@@ -208,6 +209,7 @@ def candidate_cells(world: World, given: ArrayLike, source: object = "") -> tupl
     labels = world.components
     part = labels[tuple(cells.T)]
     size = np.bincount(labels.ravel())
+    # Ties between equal components are broken by label, so that the result is reproducible.
     best = min(set(part.tolist()), key=lambda name: (-size[name], name))
     kept = cells[part == best]
     left_out = len(cells) - len(kept)
@@ -279,6 +281,7 @@ def spread_out(cells: Cells, most: int = 256) -> Cells:
         order.append(int(np.argmax(left)))
         apart = np.sum((cells - cells[order[-1]]) ** 2, axis=1)
         left = np.minimum(left, apart) if len(order) > 1 else apart.astype(np.float64)
+        # Cells already in the order must not be selected again.
         left[order] = -1.0
     rest = np.setdiff1d(np.arange(len(cells)), order)
     return cells[np.concatenate([np.array(order, dtype=np.int64), rest])]
@@ -313,6 +316,7 @@ class Reached(NamedTuple):
 
     def bound(self, world: World, starts: NDArray[np.int64]) -> float:
         """The upper bound for a team with starts `[K, 2]` in any cells."""
+        # Robots are bounded independently: probability that each one misses each cell.
         missed = 1.0 - best_survival(world, starts)[:, np.flatnonzero(world.accessible(starts))]
         return float(self.sum(1.0 - np.prod(missed, axis=0)))
 
@@ -340,6 +344,7 @@ def depots_of(
     reached: Reached,
 ) -> list[Place]:
     """Every candidate as a depot, best bound first; `one_robot` is set for the first PLANNED of them."""
+    # All robots start at the site, so each misses a cell with the same probability.
     bounds = reached.sum(1.0 - (1.0 - reached.chances) ** robots)
     order = np.argsort(-bounds, kind="stable").tolist()
     ordered = [sites[site] for site in order]
@@ -370,6 +375,7 @@ def depots_to_simulate(places: Sequence[Place], sites: Sequence[NDArray[np.int64
         if len(known):
             values = np.array([places[number].one_robot for number in known])
             near = np.array([[np.abs(places[n].starts[0] - places[m].starts[0]).sum() for m in known] for n in numbers])
+            # Unplanned candidates take eq. (4) of the nearest planned one in the same site.
             expected[numbers] = values[near.argmin(axis=1)]
             leaders.append(known[np.argsort(-values, kind="stable")])
     leaders.sort(key=lambda numbers: (-expected[numbers[0]], numbers[0]))
@@ -407,6 +413,7 @@ def _greedily(robots: int, first: int, reached: Reached) -> list[int]:
     team, missed = [first], 1.0 - chances[first]
     while len(team) < robots:
         team.append(int(np.argmax(chances @ (missed * worth))))
+        # Marginal gains shrink by the probability that the team already reaches the cell.
         missed = missed * (1.0 - chances[team[-1]])
     return team
 
@@ -505,6 +512,7 @@ def _places(world: World, robots: int, settings: Settings, cells: NDArray[np.int
     now = standing(world, robots)
     if not np.array_equal(world.accessible(now), world.accessible(cells[:1])):
         return list(found.values())
+    # The present starts come last and once, also if they are among the candidates.
     known = found.pop(now.tobytes(), None) or Place(now, reached.bound(world, now))
     return [*found.values(), replace(known, entered=True, now=True)]
 

@@ -74,6 +74,7 @@ def smallest_enough(first: int, most: int, verdict_of: Callable[[int], TeamVerdi
             found = robots
             break
         below = robots
+    # `found` itself is known, so only smaller teams remain.
     passed_over = [k for k in range(first, found or most) if k not in known]
     if len(passed_over) > FEW:
         if found is None:
@@ -122,12 +123,14 @@ def team_ideals(world: World, starts: NDArray[np.int64], cells: int, needed: int
     own = labels[starts[:, 0], starts[:, 1]]
     coverage, chance = np.zeros(len(starts)), np.zeros(len(starts))
     for robots in range(1, len(starts) + 1):
+        # Cells of a component count once, when its first robot joins.
         if own[robots - 1] not in own[: robots - 1]:  # a component that no earlier robot can reach
             threat = world.threat[np.isin(labels, own[:robots])].astype(np.float64)
             expected, reached = ideals_of(threat, len(starts), needed)
         coverage[robots - 1], chance[robots - 1] = expected[robots - 1], reached[robots - 1]
     if last_step is not None:
         entries = np.arange(1, len(starts) + 1) * (last_step + 1.0)
+        # A robot enters at most one cell in a step.
         coverage, chance = np.minimum(coverage, entries), np.where(entries < needed, 0.0, chance)
     return Ideals(np.minimum(coverage / cells, 1.0), np.minimum(chance, 1.0))
 
@@ -149,6 +152,7 @@ def ideals_of(threat: NDArray[np.float64], most: int, needed: int) -> tuple[NDAr
         if number == needed:
             chance = alive
         shifted = hits[:-1] * p
+        # Poisson binomial recursion; the last entry is dropped, as a team of `most` can lose no more.
         hits *= 1.0 - p
         hits[1:] += shifted
     return total, chance
@@ -369,6 +373,7 @@ class _Search:
         self.cells = int(accessible.sum())
         self.safe = not (world.threat[accessible] > 0).any()
         self._check()
+        # The tolerance keeps 0.7 * 10 from becoming 8 by rounding.
         self.needed = math.ceil(goal.target * self.cells - 1e-9)
         _check_alike(settings)
         moves = settings.range if settings.recharge is None else None
@@ -381,9 +386,11 @@ class _Search:
         self.first = int(able.argmax()) + 1 if able.any() else None
         marks = set(looks(BLOCK))
         if choices.precision is None:
+            # The last check is at the given number of rollouts, whatever its size.
             marks = {mark for mark in marks if mark < choices.rollouts} | {choices.rollouts}
         self.marks = marks
         able_teams = len(self.starts) + 1 - self.first if self.first else 1
+        # Union bound over all teams and checks of the search.
         self.doubt = share_of_doubt(able_teams, len(marks))
         self.engine, self.all_pairs = "", AllPairs()
         ruled_out = range(1, self.first or len(self.starts) + 1)
@@ -454,6 +461,7 @@ class _Search:
         low, high = (end / self.cells for end in found.bounds(meaning, self.doubt))
         if known is not None:
             coverage = exactly(getattr(known, meaning) / self.cells)
+            # An exact mean has a degenerate interval.
             low, high = coverage.ci95
             if self.world.value is not None:
                 worth = Worth.of(self.world)
@@ -482,6 +490,7 @@ class _Search:
         trial = self._trial(robots)
         if not count or trial.certain or start + count > MOST_ROLLOUTS:
             return None
+        # Only the estimate after all rollouts counts.
         *_, last = self._rolled(trial, start, count)
         return self._point(trial, last)
 

@@ -60,6 +60,7 @@ class Threat:
             return replace(world, threat=sources.threat(), sources=sources)
         threat = world.threat.copy()
         threat.reshape(-1)[self.cells] = 0.0
+        # Worlds share arrays, so their arrays are read-only.
         threat.setflags(write=False)
         return replace(world, threat=threat)
 
@@ -287,6 +288,7 @@ class Search:
         self.cells, self.valued = int(world.accessible(starts).sum()), world.value is not None
         self.total = Worth.of(world).total if self.valued else float(self.cells)
         self.exact = True
+        # Every map has its own distance table of cells**2 entries.
         self.most = min(most, max(FEWEST, TABLES // self.cells**2))
 
     def asked(self, world: World) -> dict[str, Any]:
@@ -316,6 +318,7 @@ class Search:
         self.doing("replanned")
         contenders = [partial(self.anew, self.other(world, threats[place])) for place in order]
         race = self.race(contenders, exact=known is not None)
+        # Exact and sampled figures must not be paired: the difference would not be on common random numbers.
         base: Measured = as_is.sample(0, self.choices.rollouts) if known is None or not race.exact else known
         self.exact &= base.exact and not any(gain.rollouts for gain in gains)
         hits = as_is.stops(base)
@@ -350,6 +353,7 @@ class Search:
 
     def gain(self, base: Measured, other: Measured) -> Gain:
         """Mean gain of removing the threat: cells, robots, and value if the map has values."""
+        # Both directions report the gain of the map without the threat.
         there, gone = (other, base) if self.placing else (base, other)
         worth = gone.ahead(there, "value", self.total) if self.valued else None
         rollouts = min(base.rollouts, other.rollouts)
@@ -357,6 +361,7 @@ class Search:
 
     def _unknown(self, as_is: Trial, truth: World, threats: int) -> Gain:
         """Gain if the team keeps its plan."""
+        # The rollouts of all threats together are limited, as each threat needs its own true map.
         count = min(self.choices.rollouts, max(ALL_UNKNOWN // threats, 2))
         return self.gain(*alike([as_is, as_is.under(truth)], 0, count, 1 / threats))
 
@@ -573,6 +578,7 @@ class _Adversary:
             before = list(self.picks)
             for number, pick in enumerate(before):
                 self.picks[number] = self._worst(self.picks[:number] + self.picks[number + 1 :], pick)
+            # A round without a move is a local optimum.
             if all(one is other for one, other in zip(before, self.picks, strict=True)):
                 break
 
@@ -657,12 +663,14 @@ def places_of(
     Raises UsageError if there is none.
     """
     free = world.accessible(starts)
+    # A threat in a start cell could not be avoided by any plan.
     free[tuple(starts.T)] = False
     cells = np.flatnonzero(free)
     if not len(cells):
         raise UsageError(f"{world.source}: no accessible cell is left for a threat", expected="a larger map")
     notes: tuple[str, ...] = ()
     if len(cells) > MOST_PLACES:
+        # The gradient is exact for the open loop and needs one pass, so it screens all cells.
         costs = -coverage_gradient(make_plan(world, starts, settings), world).reshape(-1)[cells]
         notes = (f"of {len(cells):,} cells, the {MOST_PLACES} where added threat costs the plan's paths most",)
         cells = np.sort(cells[np.argsort(-costs, kind="stable")[:MOST_PLACES]])

@@ -656,8 +656,10 @@ class _Guarded(_Handler):
     def prepare(self) -> None:
         super().prepare()
         given = self.request.headers.get("Authorization", "")
+        # Constant time, so that timing does not reveal the token.
         if not compare_digest(given.encode(), f"Bearer {self.studio.token}".encode()):
             raise HTTPError(401, reason="No token")
+        # A cross-site form cannot send this type without a preflight request.
         if self.request.method == "POST" and self.request.headers.get("Content-Type") != "application/json":
             raise HTTPError(415, reason="Not JSON")
 
@@ -735,6 +737,7 @@ async def serve(studio: Studio, port: int, ready: Callable[[str], None], over: a
     """Serve until `over` is set, or forever; `ready` gets the address. Port 0: a free one. Raises UsageError."""
     logging.getLogger("tornado.general").setLevel(logging.ERROR)
     try:
+        # Listen before the page is announced, so that its address works at once.
         with _listening(port) as listener:
             place = listener.getsockname()[1]
             server = HTTPServer(

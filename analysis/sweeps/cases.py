@@ -243,6 +243,7 @@ class Places:
         if case.robots not in (None, len(plan.robots)) or case.starts is not None or case.choices.given():
             expected = f"its own {len(plan.robots)} robots, starts and settings"
             raise UsageError(f"{case.plan} with other robots, starts or settings", expected=expected)
+        # External plans have no settings.
         return Team(world, plan.starts, plan.settings or Settings(), plan)
 
 
@@ -256,6 +257,7 @@ def run_key(team: Team, model: RolloutChoices, rules: int | None = None) -> str:
     `rules`: version of the simulation rules; None: the latest that concerns such a team
     (`planner.world.features.rules_of`), so that runs unaffected by a change of the rules keep their keys.
     """
+    # Keys and values of 0.3, so that its stores are resumed.
     drawn = {"loop": model.loop, "first_only": model.first_only, "seed": model.seed, "mode": "tolerance"}
     said = {"semantics": rules or _rules(team, model), "team": team.identity, "model": drawn}
     return hashlib.sha256(canonical(said).encode()).hexdigest()
@@ -389,6 +391,7 @@ class _Loops:
         if closed and known and team.plan is None and team.settings.plan_for == "closed_loop":
             from planner.rollouts.closed_loop import with_nominal_run
 
+            # Teams that differ only in these settings share the allocation.
             alike = replace(team, settings=replace(team.settings, **ONCE_UNDER_WAY))
             problem, begun = _allocated(_Same(alike.identity, alike))
             own = problem if team.settings == alike.settings else None

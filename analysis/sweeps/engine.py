@@ -258,9 +258,11 @@ class _Run:
     def take(self, task: Task, results: list[RunResult]) -> None:
         """Store a task's results; finish its job after its last task."""
         opened = self.out[task.ticket]
+        # Another process may have stored overlapping ids meanwhile: the job then runs again.
         opened.lost |= bool(self.store.add(results))
         opened.left -= 1
         self.rollouts += sum(tally.rollouts for result in results for tally in result.tallies)
+        # A job is finished only after its last task.
         if opened.left:
             return
         del self.out[task.ticket]
@@ -284,6 +286,7 @@ class _Run:
 def share_of(team: Team) -> int:
     """Rollouts of a model in one task: whole blocks if rollouts are fast. Counts do not depend on it."""
     share = SHARE * 400 // max(400, team.world.threat.size)
+    # Whole blocks avoid a merge of two parts of one block in the store.
     return share // BLOCK * BLOCK if share >= BLOCK else max(share, LEAST_SHARE)
 
 

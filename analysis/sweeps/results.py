@@ -75,6 +75,7 @@ class Moments:
         share = step / self.maps
         grows = np.einsum("fa,fb->fab", step, share) * (self.maps - 1)
         turned = np.einsum("fa,fbc->fabc", share, self.scatter)
+        # Update formulas of Pebay (2008) for the second and third central moments.
         self.mean += share
         self.lean += np.einsum("fa,fbc->fabc", share, grows) * (self.maps - 2)
         self.lean -= turned + turned.transpose(0, 2, 1, 3) + turned.transpose(0, 2, 3, 1)
@@ -278,6 +279,7 @@ def single_map(run: Run, tally: Tally) -> dict[str, Estimate]:
     found = {"complete": complete_chance(tally)}
     for name in FIGURES:
         if name != "complete":
+            # The bound of the time guards its interval against unseen values.
             most = longest_of(run) if name == "time" else None
             found[name] = tally_mean(tally, name.removesuffix("_of_free"), unit_of(run, name), most)
     return found
@@ -468,6 +470,7 @@ def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
     for name in by:
         check_word("by", name, seen)
     # Rules separate rows only if some runs follow earlier rules; these are never averaged with others.
+    # Runs of earlier rules must never be averaged with others.
     apart = EARLIER in seen.get(RULES, ())
     varying = [n for n, values in seen.items() if len(values) > 1 and n not in MAP_LABELS and (n != RULES or apart)]
     wanted = list(dict.fromkeys([*by, RULES] if apart else by)) if by else varying

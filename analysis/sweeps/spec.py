@@ -268,6 +268,7 @@ class Spec:
         labels = {name: label_of(name, v, self.source.parent) for name, v in values.items() if name not in MODEL}
         world = written_world(values, seed) if "input" in values else generated_world(values, seed or 0)
         if isinstance(world, Generated):
+            # Kind and ratio are labels even at their defaults, so that stores of several sweeps can be compared.
             labels = {**dict[str, Label](kind=world.kind, ratio=world.ratio), **labels}
         if seed is not None:
             labels["map"] = seed
@@ -296,6 +297,7 @@ def read_spec(path: Path) -> Spec:
     swept = tuple((name, _values(name, key)) for name, key in _swept(keys["sweep"]).items())
     rollouts = keys["rollouts"].number(whole(1, MOST_ROLLOUTS))
     spec = Spec(path, base, swept, _maps(keys, base, swept), MODEL["seed"](keys["first_seed"]), rollouts)
+    # One cache for all checks: most values share a world.
     places = Places()
     for name, values in swept or (("base", (None,)),):  # detect errors before the first rollout
         for value in values[:MOST_CHECKED]:

@@ -64,6 +64,7 @@ def open_file(path: Path, *, write: bool, whole: bool = True) -> sqlite3.Connect
 
     `whole`: also check the structure: pages, tables and indexes must agree, or rows may be missing.
     """
+    # A dangling symbolic link is an error: its target may be on a disk that is not mounted.
     problem = why_no_file(path)
     if problem and (problem != "no such file" or not write or path.is_symlink()):
         raise StoreError(problem, source=printable(path), expected="a store (`mrac-jax sweep` makes one)")
@@ -130,6 +131,7 @@ def _is_new(connection: sqlite3.Connection) -> bool:
 
 
 def _make(connection: sqlite3.Connection) -> None:
+    # Two processes may create the same store at once.
     patience = time.monotonic() + BUSY_SECONDS
     while True:
         try:  # another process may create it too; SQLite has no busy timeout here
@@ -405,6 +407,7 @@ class Store:
 
     def _row(self, query: str, number: int, key: str) -> tuple[Any, ...] | None:
         """A row if it belongs to this run, else None: the file may be damaged."""
+        # An unreadable row counts as lost.
         with suppress(sqlite3.DatabaseError):
             for row in self._connection.execute(query, (number,)):
                 return tuple(row) if row[0] == key else None
@@ -492,6 +495,7 @@ def united(key: str, held: Tally, tally: Tally, path: Path | None) -> tuple[Tall
         raise StoreError(problem, source=path or "store", expected="reproducible rollouts")
     if not new or not old:
         return (tally if new else held), ()
+    # Disjoint parts of one block add.
     if new == tally.ids:
         return tally + held, ()
     return (tally, old) if tally.rollouts > held.rollouts else (held, new)

@@ -40,6 +40,7 @@ def unpack(blob: bytes, ids: tuple[tuple[int, int], ...]) -> Tally:
     """The tally of a blob. Raises ValueError for invalid bytes."""
     try:
         unpacker = zlib.decompressobj()
+        # The limit protects against a damaged blob that unpacks without end.
         data = unpacker.decompress(blob, MOST_BYTES)
         if not unpacker.eof:
             raise ValueError("cut off")
@@ -71,6 +72,7 @@ def sums_of(tally: Tally) -> Json:
         counts = getattr(tally, figure)
         held = np.flatnonzero(counts)
         often = counts[held]
+        # Sums of squares may exceed int64.
         if tally.rollouts * (len(counts) ** 2) >= 2**63:
             often = often.astype(object)  # Python integers do not overflow
         said[figure] = [int(often @ held), int(often @ held**2)]

@@ -75,6 +75,7 @@ class _Table:
     def add(self, tag: int, keys: tuple[str, ...]) -> None:
         """Add a finished job by the keys of its runs."""
         heapq.heappush(self.waiting, (tag, keys))
+        # Sums of floats depend on their order, so jobs are added by tag.
         while self.waiting and self.waiting[0][0] == self.next:
             self._add(*heapq.heappop(self.waiting))
             self.next += 1
@@ -96,6 +97,7 @@ class _Table:
             row, (means, errors) = self.found[setting], figures_of(run)
             if setting == 0:
                 self.first = (number, means)
+            # Differences are paired map by map with the first setting.
             row.first = self.found[0].moments if 0 in self.found else None
             row.add(means, errors, run.rollouts - 1, self.first[1] if self.first[0] == number else None)
             row.rollouts += run.rollouts

@@ -313,6 +313,7 @@ class CoverageEnv:
         """The state after a team step with actions int `[K]`, and the rewards, float32 `[K]`."""
         actions = checked_actions(actions, (self.num_agents,), len(ACTIONS))
         cell = jnp.asarray(self._next)[state.cell, actions]
+        # Lost robots stay in place, whatever their action.
         cell = jnp.where(state.alive, cell, state.cell)
         after, new = self._entered(state, cell, cell != state.cell)
         step = state.step + 1
@@ -323,6 +324,7 @@ class CoverageEnv:
     def _entered(self, state: State, cell: jax.Array, enters: jax.Array) -> tuple[State, jax.Array]:
         """The state after these robots enter these cells, and whether each is the first in its cell, bool `[K]`."""
         together, lower = cell[:, None] == cell[None], np.tri(self.num_agents, k=-1, dtype=bool)
+        # Of robots that enter a cell in the same step, the first by number gets the reward.
         with_lower = together & enters[None] & lower
         new = enters & ~state.visited[cell] & ~with_lower.any(axis=1)
         exposure, harmless = jnp.asarray(self._exposure)[cell], state.harmless
@@ -332,6 +334,7 @@ class CoverageEnv:
         if harmless is not None and self._hazards is not None and self._hazards.spends:
             exposure, hit = self._spent(state.left, exposure, cell, hit)
             harmless = harmless.at[cell].max(hit)
+        # A lost robot's threshold stays, as a further subtraction would wrap around.
         left = jnp.where((enters & ~hit)[:, None], less(state.left, exposure), state.left)
         visited = state.visited.at[cell].set(True)  # a robot that stays is in a visited cell
         covered = state.covered + new.sum(dtype=jnp.int32)
@@ -384,6 +387,7 @@ class CoverageEnv:
 
 def _seed_of(key: jax.Array) -> jax.Array:
     """uint32 `[2]` (low, high): the seed of `jax.random.key`."""
+    # JAX stores (high, low).
     return jax.random.key_data(key).ravel()[-2:][::-1]
 
 
