@@ -237,7 +237,7 @@ def _place_json(place: Place, depot: bool) -> Json:
 
 # `mrac-jax clear`: the threat to remove first, the gain, and every threat on the map and in the table.
 
-KINDS = {"areas": "connected areas of danger", "sources": "polygons, points and sites of the scenario"}
+KINDS = {"areas": "connected areas of equal threat", "sources": "polygons, points and sites of the scenario"}
 KINDS_OF_GAIN = {"cells": "Cells", "of value": "Value"}
 CLEAR_SHOWN = 12
 """Threats in the table; the JSON object holds all."""

@@ -236,8 +236,7 @@ def _footnotes(size: TeamSize) -> list[str]:
     if size.of(TeamVerdict.UNDECIDED) and size.choices.precision is None and not size.partial:
         lines.append(f"undecided: more than {argument('rollouts', size.choices.rollouts)} may decide.")
     if size.of(TeamVerdict.IMPOSSIBLE):
-        what = "on average exceeds" if size.goal.confidence is None else "has a chance above"
-        lines.append(f"impossible: no policy of so many robots {what} the value after the <=.")
+        lines.append(f"impossible: the value after <= is an upper bound of the {figure} for any policy.")
     if size.passed_over and not size.partial:
         what = "they are not enough if coverage grows with the team" if size.robots else "they may be enough"
         lines.append(f"Not simulated: {_listed(size.passed_over)} robots; {what}.")
@@ -537,7 +536,7 @@ def _footnote(front: Front) -> str:
     settings, shared = counted(len(front.points), "setting"), ", common random numbers" if front.engine else ""
     if front.goal:
         of = f"{len(_cheap(front))} of {settings}"
-        return f"{of}: no other setting covers as much with as few robots lost{shared}. --out and --json list all."
+        return f"{of}, not dominated in coverage and robots lost{shared}. --out and --json list all."
     biased = "Each entry is the minimum over many settings on the same rollouts, hence slightly too low. "
     return f"{biased * bool(front.engine)}--out and --json list all {settings}; --losses or --target select one."
 

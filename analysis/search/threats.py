@@ -101,7 +101,7 @@ class Gain:
         cells = "" if self.value is None else f"{self.cells.more(unit=' cells', words=words)}, "
         even = max(map(abs, self.robots.ci95))
         if even < EVEN:
-            return f"{cells}as many robots lost" + (f" (± {even:.1g})" if even >= EVEN / 10 else "")
+            return f"{cells}the same losses" + (f" (± {even:.1g})" if even >= EVEN / 10 else "")
         lost = self.robots if self.robots.mean >= 0 else self.robots.negated
         return f"{cells}{lost.said()} robots lost {words[self.robots.mean >= 0]}"
 
