@@ -271,7 +271,7 @@ def test_columns_of_a_map_are_those_of_its_runs() -> None:
     facts |= {"robots": 4, "longest": 90, "ideal_team": None}
     run = Run("key", {}, facts, ((0, 500),), sums_of(tally))
     columns, runs = columns_of(run, tally, "closed", 19), runs_of(tally, 19)
-    assert columns["beside", "closed", "visited_free"][0] == pytest.approx(columns["run", "closed", "visited_free"])
+    assert columns["controls", "closed", "visited_free"][0] == pytest.approx(columns["run", "closed", "visited_free"])
     assert columns["run", "closed", "visited_free"] == pytest.approx(results.visited.mean() / 19)
     assert columns["square", "closed", "survived"] == pytest.approx(((results.survived / 19) ** 2).mean())
     assert columns["run", "closed", "time"] == pytest.approx(results.time.mean())

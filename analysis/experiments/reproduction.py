@@ -52,8 +52,8 @@ FIGURE4 = {4: (0.8033, 311), 10: (0.9733, 244)}
 
 
 Key = tuple[str, str, str]
-"""Quantity ("mean", "run", "square", "share", "beside" the control variates, "errors"), loop, figure. Loops: "closed",
-threats at every visit; "first", only at the first visit of a cell by any robot; "open", no reallocation, exact."""
+"""Quantity ("mean", "run", "square", "share", "controls": mean with control variates, "errors"), loop, figure. Loops:
+"closed", threats at every visit; "first", only at the first visit of a cell; "open", no reallocation, exact."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ def columns_of(run: Run, tally: Tally, loop: str, free: int) -> dict[Key, Any]:
 
     run, square: mean and mean square of single runs, of each of COVERAGE (fractions) and "time" (steps). share: of runs
     that cover no more of the free cells ("coverage"), or take no longer ("time"), than the run of Fig. 4 with the same
-    number of robots. beside, errors: see `analysis.statistics.variance_reduction.beside_luck`.
+    number of robots. controls, errors: see `analysis.statistics.variance_reduction.beside_luck`.
     """
     found: dict[Key, Any] = {}
     means, errors = figures_of(run)
@@ -107,7 +107,7 @@ def columns_of(run: Run, tally: Tally, loop: str, free: int) -> dict[Key, Any]:
         found["run", loop, figure] = float(often @ values) / tally.rollouts
         found["square", loop, figure] = float(often @ values**2) / tally.rollouts
         place = KEPT[figure.replace("_free", "_of_free")]
-        found["beside", loop, figure], found["errors", loop, figure] = means[place], errors[place]
+        found["controls", loop, figure], found["errors", loop, figure] = means[place], errors[place]
     if tally.robots in FIGURE4:
         coverage, steps = FIGURE4[tally.robots]
         cells = int(np.floor(coverage * free + 0.5))
@@ -118,8 +118,8 @@ def columns_of(run: Run, tally: Tally, loop: str, free: int) -> dict[Key, Any]:
 
 def put_right(columns: dict[Key, NDArray[np.float64]], rollouts: int) -> None:
     """Add each map's "mean": its "run" with the control variate, fitted over all maps."""
-    for _, loop, figure in [key for key in columns if key[0] == "beside"]:
-        means, errors = columns["beside", loop, figure], columns["errors", loop, figure]
+    for _, loop, figure in [key for key in columns if key[0] == "controls"]:
+        means, errors = columns["controls", loop, figure], columns["errors", loop, figure]
         columns["mean", loop, figure], _ = control_variate.put_right(means, errors, len(means) * (rollouts - 1))
 
 

@@ -208,10 +208,10 @@ def report(judged: Judged) -> Report:
 def headline(judged: Judged) -> str:
     """Coverage of the policy, of the best plan, and the bound."""
     best = max(judged.plans.items(), key=lambda item: item[1].coverage.mean, default=None)
-    beside = "" if best is None else f"; `{best[0]}`: {percent(best[1].coverage.mean)}"
+    plan = "" if best is None else f"; `{best[0]}`: {percent(best[1].coverage.mean)}"
     said = "a random walk" if judged.walk == "random walk" else judged.walk
     walk, bound, covers = percent(judged.random.mean), ceiled(judged.bound, 1), judged.coverage.said(100, " %")
-    return f"It covers {without_level(covers)}{beside}; {said}: {walk}, upper bound: {bound}."
+    return f"It covers {without_level(covers)}{plan}; {said}: {walk}, upper bound: {bound}."
 
 
 def _json(judged: Judged) -> Json:

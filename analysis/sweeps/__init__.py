@@ -1,1 +1,1 @@
-"""Sweeps: many maps, teams, planners and models, run in processes or on a cluster, with results in a crash-safe store."""
+"""Sweeps: many maps, teams, planners and models, in processes or on a cluster, into a crash-safe store."""
