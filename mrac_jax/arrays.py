@@ -80,14 +80,14 @@ def robot_words(key: jax.Array, ids: jax.Array, robots: int) -> jax.Array:
 
 Array: TypeAlias = jax.Array
 HostArrays: TypeAlias = dict[str, Any]
-"""NumPy arrays and scalars by field name."""
+"""NumPy arrays and scalars by the names of the fields that they are for."""
 STATIC = {"static": True}
 """Metadata of static fields, for which programs are compiled; all others are data."""
 AnyTables = TypeVar("AnyTables")
 
 
 def padded(values: NDArray, size: int, fill: int = 0, dtype: type = np.int32) -> NDArray:
-    """int `[size]`: the values, then padding."""
+    """`[size]` that begins with the values."""
     return np.pad(values.astype(dtype), (0, size - len(values)), constant_values=fill)
 
 

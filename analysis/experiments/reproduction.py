@@ -476,7 +476,7 @@ def _point(setting: Setting, found: list[tuple[Columns, Runs]], rollouts: int) -
     return Point(setting.kind, setting.robots, setting.ratio, columns, runs, rollouts)
 
 
-# The report of `mrac-jax reproduce`: the paper's statements, and the points of its figures from our maps.
+# The report of `check --paper`: the paper's statements, and the points of its figures from our maps.
 
 TITLES = {
     "fig4": "Fig. 4: single runs on contiguous maps",

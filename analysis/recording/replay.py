@@ -1,4 +1,4 @@
-"""`mrac-jax replay`: simulate the recorded rollouts again from the file's data, and compare every message."""
+"""`mrac-jax inspect`: its contents, and its rollouts run again and compared message by message (`--replay`)."""
 
 from __future__ import annotations
 

@@ -235,7 +235,7 @@ def _place_json(place: Place, depot: bool) -> Json:
     return {"starts": place.starts[:1] if depot else place.starts, **facts, **_value(place)}
 
 
-# `mrac-jax clear`: the threat to remove first, the gain, and every threat on the map and in the table.
+# The report of `threats --remove`: the threats to remove, the gain, all threats on the map and in figures.
 
 KINDS = {"areas": "connected areas of equal threat", "sources": "polygons, points and sites of the scenario"}
 KINDS_OF_GAIN = {"cells": "Cells", "of value": "Value"}
@@ -403,7 +403,7 @@ def _clear_threat_json(one: Weighed) -> Json:
     return {"name": threat.name, "cells": threat.cells, "p": float(exactly(round(threat.p, 9))), **facts}
 
 
-# `mrac-jax attack`: the worst positions of threats, their cost to a team that knows them or does not, and the map.
+# The report of `threats --add`: the worst cells, the cost with and without knowledge of them, every cell on the map.
 
 ATTACK_SHOWN = 12
 """Cells in the table; the JSON object holds all."""

@@ -1,1 +1,1 @@
-"""The mission as an environment for learning policies."""
+"""What does a policy of one's own make of this world? The mission as an environment that policies are learned in."""
