@@ -127,6 +127,7 @@ def make_mission(world: World, plan: Plan, altitude: float | None = None, speed:
 
 def straight_runs(path: NDArray[np.int64]) -> list[Stop]:
     """The ends of a path's straight runs, with the start and the last cell; waiting at the end is omitted."""
+    # Plans pad shorter paths by waiting at the end.
     path = path[: last_move(path) + 1]
     moves = np.diff(path)
     stops = [Stop(0, int(path[0]), 0)]
@@ -149,6 +150,7 @@ POLE = 90 - 1e-9
 
 def over_a_pole(ring: Ring) -> bool:
     """True for a closed ring around a pole, or through one: the short steps in longitude do not sum to 0."""
+    # Each step is taken the short way around the Earth.
     steps = near(np.diff(ring[:, 0]), 0.0, TURN)
     through = np.abs(np.abs(steps) - HALF) < 1e-6
     return bool(abs(steps.sum()) > HALF or through.any() or (np.abs(ring[:, 1]) >= POLE).any())
@@ -160,6 +162,7 @@ def cut_line(line: Ring) -> list[Ring]:
     turn = None
     for one, other in pairwise(line):
         for start, end in _pieces(one, other):
+            # The midpoint decides the turn, so that an end on the seam is unambiguous.
             own = math.floor(((start[0] + end[0]) / 2 + HALF) / TURN)
             if own != turn:
                 parts.append([start - (own * TURN, 0)])
@@ -224,6 +227,7 @@ def _west_of(rings: list[Ring], seam: float) -> list[Ring]:
         if west.all() or not west.any():
             whole += [ring] if west.all() else []
             continue
+        # Start each ring where it enters the west, so that no stretch is split.
         first = int(np.flatnonzero(west & ~np.roll(west, 1))[0])
         corners, west = np.roll(corners, -first, axis=0), np.roll(west, -first)
         for at in np.flatnonzero(west):
@@ -251,6 +255,7 @@ def _with_holes(rings: list[Ring]) -> list[list[Ring]]:
     outer = [[ring] for ring, size in zip(rings, sizes, strict=True) if size > 0]
     for ring, size in zip(rings, sizes, strict=True):
         if size < 0:
+            # The middle of an edge cannot be a corner of the outer ring.
             middle = (ring[0] + ring[1]) / 2
             next((part for part in outer if _holds(part[0], middle)), outer[0]).append(ring)
     return outer
@@ -495,6 +500,7 @@ def _placemark(folder: Element, feature: Feature) -> None:
     _text(place, "name", feature.name)
     robot = feature.facts["robot"]
     colour = UNASSIGNED if robot is None else ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
+    # KML colours are aabbggrr.
     bgr = colour[5:7] + colour[3:5] + colour[1:3]
     style = SubElement(place, "Style")
     line = SubElement(style, "LineStyle")

@@ -73,6 +73,7 @@ class Dialogue:
         kind, rest = top["type"].choice(KINDS), {name: value for name, value in key.value.items() if name != "type"}
         given = Key(rest, "", key.source, UsageError)
         if kind == "report":
+            # A repeated report changes nothing and has no reply.
             before, over = (self.mission.said(), self.mission.sees), self.mission.outcome is not None
             hand_on(self.mission.report, given)
             if (self.mission.said(), self.mission.sees) == before:
@@ -103,6 +104,7 @@ class Dialogue:
         mission, before = self.mission, self.mission.step
         if asked:
             self._orders = mission.first_orders()
+        # Steps in which no robot has an order to confirm end at once.
         while step or (mission.outcome is None and not mission.awaited_of(self._orders)):
             mission.advance()
             self._orders, step = mission.orders(), False
@@ -135,9 +137,9 @@ def _parsed(line: str, source: str) -> Any:
     try:
         found = json.loads(line, parse_constant=lambda name: math.nan)
     except (ValueError, RecursionError) as error:
-        raise UsageError(f"no JSON ({str(error)[:60]})", source=source, expected=expected) from None
+        raise UsageError(f"not JSON ({str(error)[:60]})", source=source, expected=expected) from None
     if not isinstance(found, dict):
-        raise UsageError("no JSON object", source=source, expected=expected)
+        raise UsageError("not a JSON object", source=source, expected=expected)
     return found
 
 
@@ -271,6 +273,7 @@ class DrivenMission(Mission):
         POSITIVE.check("seconds", seconds, optional=True)
         ends = time.monotonic() + (SECONDS if seconds is None else seconds)
         self.check_foreseen()
+        # Check all arguments before the first compilation.
         whole(1, MOST_ROLLOUTS).check("rollouts", rollouts, optional=True)
         choices = RolloutChoices(seed=seed, exact="never")
         rolls = [make_singles(self.world, self.rest(**way, nominal=False), choices, self._tables) for way in ways]
@@ -287,6 +290,7 @@ class DrivenMission(Mission):
         """The estimates of rollouts."""
         count, step = len(found.visited), self._past
         lost = np.bincount(self._lost(found), minlength=self._alive + 1)
+        # Times of rollouts count from t = 0, the outlook's from now.
         left = np.bincount(found.time - step)
         most = self.last_step - step
         values = np.flatnonzero(left)
@@ -312,5 +316,6 @@ class DrivenMission(Mission):
         visited, survived = (int(np.count_nonzero(cells)) for cells in (fleet.visited, fleet.survived))
         same = {"visited": visited, "survived": survived, "time": self._past, "alive": self._alive}
         same["home"] = int(at_base(fleet.t, fleet.raw).sum()) if fleet.loop.comes_home else 0
+        # One row for each rollout, so that the comparison stays paired.
         ended = {name: np.full_like(getattr(found, name), value) for name, value in same.items()}
         return replace(found, outcome=np.full_like(found.outcome, Outcome.ENDED_BY_OPERATOR), **ended)

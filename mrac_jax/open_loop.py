@@ -62,6 +62,7 @@ def unite(bits: jax.Array, rows: jax.Array) -> jax.Array:
     if bits.shape[1] <= MOST_FUSED_WORDS:
         # Short rows: XLA fuses the lookup with the reduction.
         return jax.vmap(lambda mine: jax.lax.reduce_or(_rows_at(bits, mine), axes=(0,)), in_axes=1)(rows)
+    # A divisor of the number of groups, so that no padding is needed.
     a_step = next(size for size in range(min(ROWS_A_STEP, groups), 0, -1) if groups % size == 0)
 
     def add(union: jax.Array, several: jax.Array) -> tuple[jax.Array, None]:
@@ -385,6 +386,7 @@ def _score(tables: PaddedTables, outcomes: jax.Array, asked: jax.Array) -> tuple
     groups, members = tables.stride.shape
     by_group = outcomes.reshape(groups, members, -1)
     rows = tables.first_row[:, None] + (by_group * tables.stride[:, :, None]).sum(axis=1, dtype=jnp.int32)
+    # The barrier keeps XLA from recomputing the rows for every lookup.
     rows = jax.lax.optimization_barrier(jnp.where(asked, rows, tables.drop_row))
     union = unite(tables.bits, rows)
     own = [_at(table, rows) for table in (tables.visited, tables.survived, tables.time, tables.alive)]
@@ -418,6 +420,7 @@ def advance(tables: PaddedTables, sums: Sums, draws: Failures, ids: jax.Array, b
 
 
 def _add(tables: PaddedTables, sums: Sums, rows: jax.Array, scores: Score, union: jax.Array, asked: jax.Array) -> Sums:
+    # Complete rollouts without survivors have another outcome, so they are counted separately.
     dead = (scores.alive == jnp.uint32(0)).astype(jnp.uint32)
     return Sums(
         rows=sums.rows.at[rows].add(1, mode="promise_in_bounds"),
@@ -456,6 +459,7 @@ class JaxOpenLoop:
         devices = jax.local_devices()
         streams = max(len(devices), available_cores()) if devices[0].platform == "cpu" else len(devices)
         self._devices = [devices[stream % len(devices)] for stream in range(streams)]
+        # Thresholds of uncertain maps come from the host, one batch for each call.
         self._a_call = MOST_PER_CALL if self.padded.joint is None else self.batch
         self._tables = {device: jax.device_put(self.padded, device) for device in set(self._devices)}
 
@@ -531,6 +535,7 @@ def batch_size(tables: PaddedTables) -> int:
 def jitted(function: Callable, batch: int) -> Callable:
     """The compiled form of `advance` or `singles`, one for each batch size: plans of equal padded sizes share it."""
     options = CPU_OPTIONS if jax.default_backend() == "cpu" else None
+    # Donated sums are updated in place.
     donated = ("sums",) if function is advance else ()
     return jax.jit(partial(function, batch=batch), donate_argnames=donated, compiler_options=options)
 

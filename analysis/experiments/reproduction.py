@@ -187,6 +187,7 @@ def _figure4(points: Sequence[Point]) -> Iterator[Finding]:
             shares = [float(point.columns["share", loop, name].mean()) for name in ("coverage", "time")]
             less, faster = map(percent, shares)
             found = f"{less} of our runs cover no more of the free cells, {faster} take no longer"
+            # Continuity correction: a share of 0 or 1 would give an infinite deviation.
             least = 0.5 / (len(point.columns["share", loop, "time"]) * point.rollouts)
             deviation = max((float(ndtri(np.clip(share, least, 1 - least))) for share in shares), key=abs)
             verdict = StatementVerdict.REPRODUCED if abs(deviation) <= ENOUGH else StatementVerdict.NOT_REPRODUCED
@@ -247,7 +248,9 @@ def _figure7(points: Sequence[Point]) -> Iterator[Finding]:
 
 def _number(figure: str, statement: str, point: Point, said: float, loop: str = "closed") -> Finding:
     ours = point.estimate(loop, "visited")
+    # The paper gives no errors; its design determines them.
     paper = point.spread_of_a_run(loop, "visited") / math.sqrt(PAPER_MAPS)
+    # Standard deviation of a uniform rounding error of one percent.
     rounding = 0.01 / math.sqrt(12)
     deviation = (ours.mean - said) / math.sqrt(ours.se**2 + paper**2 + rounding**2)
     verdict = StatementVerdict.REPRODUCED if abs(deviation) <= ENOUGH else StatementVerdict.NOT_REPRODUCED

@@ -62,6 +62,7 @@ class OpenChunk:
         schemas: set[int] = set()
         indexes: dict[int, records.MessageIndex] = {}
         for log_time, data, channel, schema in self.messages:
+            # A chunk repeats the schema and channel of its first message of a channel.
             if channel.id not in indexes:
                 if schema and schema.id not in schemas:
                     schema.write(builder)
@@ -286,6 +287,7 @@ class LogWriter:
         # Readers limit the size of a chunk.
         if self._waiting + len(data) > MAX_CHUNK // 2:
             self.flush()
+        # By default consumers can detect gaps.
         number = self._counts[channel] if sequence is None else sequence
         published = log_time if publish_time is None else publish_time
         record = message_bytes(channel, number, log_time, published, data)
@@ -330,6 +332,7 @@ class LogWriter:
             uncompressed_size=chunk.uncompressed_size,
         )
         counts = {index.channel_id: len(index.records) for index in message_indexes}
+        # The chunk and its indexes are written together.
         self._put(b"".join(parts), Index(chunk_index, counts), OpenChunk())
         self._waiting = 0
 
@@ -345,6 +348,7 @@ class LogWriter:
                 # Data must be on disk before the rename makes them the target.
                 os.fsync(self._stream.fileno())
                 self._stream.close()
+            # After an interrupt the file may already have its final name.
             if self.partial.exists():
                 self.partial.replace(target)
             self.placed = target
@@ -407,6 +411,7 @@ def read_summary(data: memoryview) -> Summary:
     start = footer.summary_start or size - wire.FOOTER_SIZE
     if not len(wire.MAGIC) <= start <= size - wire.FOOTER_SIZE:
         raise Damaged("the footer points outside the file")
+    # A checksum of 0 means "not computed" in MCAP.
     if footer.summary_crc not in (0, zlib.crc32(data[start : size - wire.AFTER_SUMMARY_CRC])):
         raise Damaged("the summary has a wrong checksum")
     statistics, described = None, Descriptions()
@@ -565,6 +570,7 @@ def _intact(opcode: int, body: memoryview) -> bytes | records.Attachment | recor
 
 def _lost(data: memoryview, at: int, end: int) -> Iterator[Piece]:
     """The lost part `[at, end)`, if any; records without content of their own are skipped."""
+    # Message indexes follow from their chunk, so their loss loses nothing.
     while length := _idle(data[at:end]):
         at += length
     finished = data[at : at + HEAD.size] == HEAD.pack(Opcode.DATA_END, 4)  # then the data section is complete
@@ -699,6 +705,7 @@ def _summary(data: memoryview) -> Summary:
 
 def _save_chunk(data: memoryview, writer: LogWriter, described: Descriptions) -> int:
     """Write the messages of a chunk and return their number. All are checked first: nothing is written on Damaged."""
+    # A first pass checks all messages before any is written.
     count = sum(1 for _ in described.messages(wire.records_in(data)))
     for message in described.messages(wire.records_in(data)):
         channel = _channel(writer, message.channel, described)

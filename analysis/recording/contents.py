@@ -175,6 +175,7 @@ def read_settings(data: bytes, source: str) -> Settings:
         "mrac_jax": lambda v: isinstance(v, str),
         "luck": lambda v: v in ("tolerance", "step"),
     }
+    # Files before 0.3 lack the key.
     given.setdefault("luck", "step")
     for name, is_right in kinds.items():
         if name not in given or not is_right(given[name]):
@@ -287,6 +288,7 @@ def rollouts_of(log: Log) -> Iterator[RecordedRollout]:
             broken(f"{message.topic}: belongs to no rollout that has begun")
             collected = None
         elif message.topic == "/rollout/end":
+            # Only a rollout with all its steps is returned.
             if decoded.time + 1 == len(collected.steps):
                 yield collected.finish(decoded)
             else:

@@ -87,6 +87,7 @@ def make_frames(trace: Trace, state: MissionState | None = None) -> Frames:
     """Compute the arrays of a trace; `state`: of the mission that it continues."""
     cells, n = trace.cells, len(trace.area_of)
     moved = np.ones(cells.shape, dtype=np.bool_)
+    # At t = 0 robots enter their starts, unless a mission is resumed.
     moved[0] = state is None
     moved[1:] = cells[1:] != cells[:-1]
     alive = trace.doing != Doing.DEAD
@@ -155,6 +156,7 @@ class AreaBook:
         Raises ValueError for events that do not fit the areas.
         """
         self._trace = trace
+        # Only these events create areas; ids are given in the order of events.
         made = np.isin(trace.events[:, 2], (EventKind.REALLOCATED, EventKind.SHARED))
         parents = np.repeat(trace.events[made, 3], np.maximum(trace.events[made, 4], 0))
         count = len(given) + len(parents)
@@ -195,6 +197,7 @@ class AreaBook:
     def map(self, step: int) -> AreaMap:
         """The areas at present."""
         now = np.arange(len(self.held), dtype=np.int32)  # current area of a cell whose final area is i
+        # Follow parents up to an area that exists already.
         while (later := now >= self._next).any():
             now[later] = self._parents[now[later]]
         area = np.append(now, np.int32(NO_AREA))[self._trace.area_of]

@@ -106,6 +106,7 @@ def boxes_for(shape: tuple[int, int]) -> Boxes:
     events = (left + curve[2] + 0.3, curve[1] + curve[3])
     bar = (left, 2.35, 2.6, 0.11)
     base = 3.1
+    # Wide maps side by side would have tiny cells.
     if width > 2.2 * height:
         cell = (WIDTH - left - right) / width
         tall = cell * height
@@ -288,6 +289,7 @@ class RolloutPicture:
         canvas = self._canvas
         if self._background is None:
             for artist in self._moving():
+                # Blitting: the static parts are drawn once.
                 artist.set_animated(True)
             canvas.draw()
             self._background = canvas.copy_from_bbox(self.figure.bbox)
@@ -438,6 +440,7 @@ def animation_gif(trace: Trace, stage: Stage, most_frames: int = MOST_FRAMES) ->
 
 def shown_steps(trace: Trace, most: int) -> list[int]:
     """Increasing steps, at most `most` (2 or more): first, last, those with losses, the others evenly spaced."""
+    # Steps with losses take precedence over evenly spaced ones.
     losses = np.unique(trace.events[trace.events[:, 2] == EventKind.HIT, 0])
     steps = np.unique([0, trace.time, *losses[: most - 2]])
     others = np.setdiff1d(np.arange(trace.time + 1), steps)
@@ -473,6 +476,7 @@ def _rgb(packed: NDArray[np.uint32]) -> NDArray[np.uint8]:
 
 def _in_colours(picture: NDArray[np.uint8], colours: NDArray[np.uint8], tree: KDTree) -> Image.Image:
     """The picture `[down, across, 3]` in the palette of the tree, each pixel in the nearest colour."""
+    # A picture has few distinct colours, so the search is done once for each.
     found, which = np.unique(_packed(picture), return_inverse=True)
     nearest = tree.query(_rgb(found))[1].astype(np.uint8)
     image = Image.fromarray(nearest[which].reshape(picture.shape[:2]))

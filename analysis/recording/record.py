@@ -110,6 +110,7 @@ class Picker:
         if not len(visited):
             return
         self._counts += np.bincount(visited, minlength=len(self._counts))
+        # One sort gives the best rollout of every number of cells.
         order = np.lexsort((results.time, -results.survived, visited))  # a stable sort keeps ids in order
         firsts = order[np.flatnonzero(np.diff(visited[order], prepend=-1))]
         new = np.stack([results.survived[firsts], results.time[firsts], results.start + firsts], axis=1)
@@ -206,6 +207,7 @@ def engine_of(world: World, plan: Plan, request: Request) -> Engine:
 
 def tally_of(engine: Engine, ids: Iterable[int]) -> Tally:
     """The tally of some rollouts."""
+    # Engines roll out ranges of ids.
     known = np.sort(np.fromiter(ids, dtype=np.int64))
     spans = np.split(known, np.flatnonzero(np.diff(known) != 1) + 1)
     tallies = [engine.tally(int(span[0]), len(span)) for span in spans]
@@ -237,6 +239,7 @@ def evaluate(
         if request.outcomes:
             for message in columns.add(results):
                 write(message)
+    # The last block may be incomplete.
     for message in columns.rest():
         write(message)
     picks = {pick.name: picker.choose(pick, request.seed) for pick in request.picks}
@@ -380,6 +383,7 @@ def _write(
     def write(message: Message) -> None:
         log.write(log.channel(message.topic, type_of(message.topic)), message.time, message.data)
 
+    # World and plan come first, so that a recovered file has them.
     log.attach(contents.WORLD, "application/octet-stream", world.to_bytes())
     log.attach(contents.PLAN, "application/json", contents.plan_bytes(plan))
     if request.scenario is not None:
@@ -436,6 +440,7 @@ def recorded_messages(
     """Each rollout with its messages, one after the other in time. Raises UsageError beyond the clock of ROS."""
     clock = Clock(0, step_seconds)
     for trace in traces:
+        # ROS times are int32 seconds.
         if clock.at(trace.time) > MOST_SECONDS * 1e9:
             raise UsageError(
                 f"the rollouts take more than {MOST_SECONDS:.0f} s one after the other",

@@ -69,6 +69,7 @@ def may_be_lost(stored: LogMessage, made: Message) -> bool:
 def compare(stored: LogMessage, made: Message, stage: Stage, rollout: int, source: Path) -> None:
     """Raise Difference unless the stored message equals the replayed one."""
     where = f"rollout {rollout}, {seconds_text(made.time)}"
+    # Most messages are equal, so bytes are compared before anything is decoded.
     if (stored.topic, stored.log_time) == (made.topic, made.time) and stored.data == made.data:
         if stored.publish_time != made.time:
             raise Difference(f"{where}: {made.topic} says that it was published at {stored.publish_time} ns")
@@ -321,6 +322,7 @@ class _Comparison:
         if not count:
             self._same_tally(tally_of(engine, self.settings.ids), stored)
             return
+        # Check the ids first: a missing outcome would otherwise pass.
         if outcomes is not None and not self._are_all(outcomes.ids, count):
             raise Difference(f"{OUTCOMES}: {len(outcomes.ids)} outcomes, expected ids 0 to {count - 1}")
         picker = Picker(engine.accessible)

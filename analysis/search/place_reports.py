@@ -36,6 +36,7 @@ def starts_report(starts: Starts) -> Report:
     """The best start positions, the map, the simulated places, and the plan from the best."""
     choices, robots, maps = starts.choices, len(starts.starts), lambda: _starts_maps(starts)
     all_of_all = len(starts.candidates) * choices.rollouts
+    # For teams of starts the number of alternatives is astronomically large, so no share is given.
     share = f", {percent(starts.rolled / all_of_all)} of simulating every one in full" if starts.depot else ""
     return Report(
         "starts", "starts", asked(starts.world, robots, "where to start?"),

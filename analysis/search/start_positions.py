@@ -269,6 +269,7 @@ def sites_of(world: World, cells: Cells) -> list[Cells]:
     areas, count = ndimage.label(world.threat == 0, structure=FOUR_NEIGHBOURS)
     site = areas[tuple(cells.T)].astype(np.int64)
     dangerous = site == 0
+    # Labels of single-cell sites follow those of the areas.
     site[dangerous] = count + 1 + np.arange(int(dangerous.sum()))
     return [spread_out(cells[site == name]) for name in np.unique(site)]
 
@@ -403,6 +404,7 @@ def teams_of(robots: int, sites: Sequence[NDArray[np.int64]], reached: Reached) 
             starts = np.array([sites[site][(way[:place].count(site) + turn) % len(sites[site])]
                                for place, site in enumerate(way)])  # fmt: skip
             if len(found) < TEAMS:
+                # Different rotations can give the same team.
                 found.setdefault(starts.tobytes(), Place(starts, _bound(reached, way)))
     return list(found.values())
 
@@ -458,6 +460,7 @@ def find_starts(
     say("screening")
     places = _places(world, robots, settings, cells, depot)
     field = _Field(world, settings, choices, places, depot)
+    # The winner of a race is biased upward, so its figures come from fresh rollouts.
     stopped, fresh = False, dict[int, Measured]()
     say("simulating")
     try:

@@ -334,6 +334,7 @@ def find_size(
     settings.check()
     choices = choices.timed(world.pace)
     search = _Search(world, settings, goal, choices, progress, doing)
+    # No team is enough if even the bound of the largest one is too low.
     robots, partial = None, False
     try:
         if search.first is not None:
@@ -422,6 +423,7 @@ class _Search:
                     if found.certain or self._enough_rollouts(point):
                         break
         except KeyboardInterrupt:
+            # An interrupted team keeps its figures, but has no verdict.
             if last is not None:
                 self.points[robots] = replace(self._point(trial, last), verdict=TeamVerdict.UNDECIDED)
             raise

@@ -474,6 +474,7 @@ def find_clearing(
     left, now, gain, stopped = threats, world, None, False
     try:
         for _ in range(count):
+            # Greedy: each removal is evaluated on the map without the earlier ones.
             turns.append(search.turn(now, left))
             now = turns[-1].picked.threat.cleared(now)
             left = [threat for threat in left if threat is not turns[-1].picked.threat]
@@ -590,6 +591,7 @@ class _Adversary:
         if self.screens:
             order = self.search.screened(world, left, always=False)[0]
         held = [] if now is None else [left.index(now)]
+        # The present place is always compared, also if the bound screens it out.
         order += [place for place in held if place not in order]
         self.search.doing("replanned" if self.screens else "with the old plan")
         race = self.search.race(
@@ -635,6 +637,7 @@ def find_attack(
     places, notes = places_of(world, starts, settings, float(p))
     whole(1, len(places), "a whole number of threats").check("count", count)
     turn = search.turn(world, places, screening=False)
+    # The search over single threats already gives the first one.
     known = _Adversary(search, world, places, search.anew, True, [turn.picked.threat])
     hidden = _Adversary(search, world, places, as_is.under, False)
     ends, stopped = (Placed(()), Placed(())), False

@@ -201,7 +201,7 @@ def read_sketch(body: bytes, first: Sketch) -> tuple[Sketch, Mapping[str, Key]]:
     try:
         top = Key(json.loads(body), "", PAGE, UsageError)
     except (ValueError, RecursionError):
-        raise UsageError("no JSON", source=PAGE, expected="a board as JSON") from None
+        raise UsageError("not JSON", source=PAGE, expected="a board as JSON") from None
     keys = top.mapping(("cells", "starts", "robots", "policy", *LIMITS, "deadline", *KNOWN), ("rollouts",))
     given = {name: keys[name].number(expected="a number, or null") for name in LIMITS if keys[name].value is not None}
     settings = Settings(
@@ -383,6 +383,7 @@ class Latest:
         if old is not None:
             old.end()
         with suppress(Empty):
+            # A waiting job is replaced, so at most one waits.
             waited = self._jobs.get_nowait()  # the thread that removes a job must end it
             if waited is not None:
                 waited.tell(SUPERSEDED)
@@ -628,6 +629,7 @@ class _Handler(RequestHandler):
         """The reason as JSON, without a traceback."""
         error = more.get("exc_info", (None, None))[1]
         said = str(error) if isinstance(error, InputError) else self._reason
+        # The body of a rejected request may be unread.
         self.set_header("Connection", "close")
         self.finish({"error": said})
 

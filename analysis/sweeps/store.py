@@ -219,7 +219,7 @@ def _store_errors(path: Path | None, *, write: bool = True) -> Iterator[None]:
 
 def damaged(path: Path | None, what: str) -> StoreError:
     """The error for a store whose bytes have changed."""
-    fix = "save what is intact: mrac-jax results NEW --merge THIS"
+    fix = "save the intact runs: mrac-jax results NEW --merge THIS"
     what = " ".join(what.split())[:120]
     return StoreError(f"is damaged ({what})", source=printable(path) if path else "store", fix=fix)
 

@@ -91,7 +91,7 @@ class _Table:
         for model, key in enumerate(keys):
             setting, run = case * len(self.spec.models) + model, self.store.run(key)
             if run is None or run.sums is None:
-                raise StoreError(f"run {key[:12]} has gone", source=self.store.path or "store")
+                raise StoreError(f"run {key[:12]} is missing", source=self.store.path or "store")
             if setting not in self.found:
                 self.found[setting] = Row(self.spec.labels(case, model))
             row, (means, errors) = self.found[setting], figures_of(run)

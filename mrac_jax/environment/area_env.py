@@ -91,6 +91,7 @@ class AreaEnv:
     @cached_property
     def _loop(self) -> PythonLoop:
         loop = PythonLoop(self._plan, self.world, problem=self._problem)
+        # The step limit is part of the loop, so that a rollout ends with the outcome STEP_LIMIT.
         loop.loop = replace(loop.loop, max_steps=min(self.max_steps, MAX_STEP))
         return loop
 
@@ -115,6 +116,7 @@ class AreaEnv:
         choice = None
         if run.decision is not None:
             action = int(actions[run.decision.robot])
+            # A missing offer counts as "none", as the number of offers varies.
             choice = action - 1 if 1 <= action <= self._offered(run) else None
         run.go_on(choice)
 
@@ -190,6 +192,7 @@ class AreaRuns:
                 continue
             new, alive = run.new, env.alive(run)
             env.take(run, given[place])
+            # Several steps pass between decisions: the reward sums them.
             rewards[place] = run.new - new - env.robot_value * (alive & ~env.alive(run))
         return self._tell(rewards)
 
@@ -297,6 +300,7 @@ class PolicyRollouts:
             return self._env.roll_out(_chooser(self._env, self._policy), self._seed, *span)
         words, (start, stop) = jnp.asarray(key_of(self._seed), jnp.uint32), span
         last = start + self._width if self.compiled else stop  # one width, one program
+        # Surplus rollouts of the last group are computed and dropped.
         state, valid = self._run(words, jnp.arange(start, last, dtype=jnp.uint32))
         if not np.asarray(valid).all():
             raise UsageError("the policy returned actions out of range", expected=_whole_numbers(len(ACTIONS)))
@@ -401,6 +405,7 @@ class _Asked:
         while not (done := np.asarray(states.done)).all():
             seen, actions = np.asarray(self._observe(states)), np.zeros((len(done), self.env.num_agents), np.int32)
             for place in np.flatnonzero(~done):
+                # Each rollout has its own generator, so the result does not depend on the grouping.
                 actions[place] = self._asked(seen[place], draws[place])
             states = self._advance(states, actions)
         return states, True

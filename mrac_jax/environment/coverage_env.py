@@ -69,6 +69,7 @@ def checked_actions(given: Any, shape: tuple[int, ...], count: int, name: str = 
         raise UsageError(f"{name}: {shown}", expected=each)
     if traced:
         return actions
+    # Name the first action out of range: JAX would clamp its index silently.
     for place in map(tuple, np.argwhere((actions < 0) | (actions >= count)).tolist()):
         raise UsageError(f"{name}{list(place) if place else ''}: {actions[place]}", expected=each)
     return actions
@@ -173,6 +174,7 @@ class CoverageEnv:
         """Raises InputError for invalid starts or numbers, and for uncertain maps, values, or team settings
         (`asked_of`) that are not supported."""
         placed = starts_of(world, robots, starts)
+        # Latent hazards are sampled once for each rollout; other uncertain maps are not supported.
         self._hazards = world.draws if isinstance(world.doubt, Hazard) else None
         (world.check_settled if self._hazards is None else world.check_told)("the environment")
         world.check_alike("the environment")
@@ -187,7 +189,9 @@ class CoverageEnv:
         self.agents = [f"agent_{robot}" for robot in range(self.num_agents)]
         self._start = (placed[:, 0] * world.shape[1] + placed[:, 1]).astype(np.int32)
         self._next = _moves(world)
+        # A blocked move is a stay, so it is offered only as "stay".
         self._legal = np.column_stack([np.ones(len(self._next), bool), self._next[:, 1:] != self._next[:, :1]])
+        # Environments have no phases, so the first map is the only one.
         self._exposure = two_words(world.exposures[0])
         self._still = np.stack([np.nan_to_num(world.threat), ~world.free]).astype(np.float32)
         size = world.shape if view is None else (2 * view + 1, 2 * view + 1)
@@ -300,6 +304,7 @@ class CoverageEnv:
             seeds, states = jax.tree.map(wide, given, tuple(batched))
 
             def some(states: State) -> State:
+                # A fixed number of episodes starts at once: shapes must be static. Rows beyond are dropped.
                 (over,) = jnp.nonzero(states.done, size=min(size, AT_ONCE), fill_value=size)
                 fresh = jax.vmap(self.begin, (0, None))(seeds[over], jnp.uint32(0))
                 return jax.tree.map(lambda of, new: of.at[over].set(new, mode="drop"), states, fresh)
@@ -317,6 +322,7 @@ class CoverageEnv:
         cell = jnp.where(state.alive, cell, state.cell)
         after, new = self._entered(state, cell, cell != state.cell)
         step = state.step + 1
+        # The three outcomes of a mission without a risk limit.
         done = (after.covered == self.accessible) | ~after.alive.any() | (step >= self.max_steps)
         rewards = new.astype(jnp.float32) - self.robot_value * (state.alive & ~after.alive).astype(jnp.float32)
         return replace(after, step=step, done=done), rewards
@@ -363,6 +369,7 @@ class CoverageEnv:
     def observe(self, state: State) -> jax.Array:
         """float32 `[K, P, h, w]`: the observations of all robots."""
         robots, (height, width) = self.num_agents, self.world.shape
+        # Robots may share a cell, so the plane of the others needs a count.
         count = jnp.zeros(len(self._next), jnp.float32).at[state.cell].add(state.alive.astype(jnp.float32))
         changing = jnp.stack([state.visited.astype(jnp.float32), count]).reshape(2, height, width)
         shared = jnp.concatenate([jnp.asarray(self._still), changing])
@@ -372,6 +379,7 @@ class CoverageEnv:
             seen, own = self._windows(shared, state.cell, self.view), jnp.full(robots, 2 * self.view * (self.view + 1))
         here = jnp.where(state.alive[:, None], jax.nn.one_hot(own, seen[0, 0].size, dtype=jnp.float32), 0.0)
         here = here.reshape(robots, 1, *seen.shape[2:])
+        # The robot itself is subtracted: another robot in the same cell still shows.
         others = (seen[:, 3:] > here).astype(jnp.float32)
         alive = jnp.full_like(here, state.alive.mean(dtype=jnp.float32))
         return jnp.concatenate([seen[:, :3], here, others, alive], axis=1)
@@ -379,6 +387,7 @@ class CoverageEnv:
     def _windows(self, planes: jax.Array, cell: jax.Array, view: int) -> jax.Array:
         """Windows of `view` rows and columns around each robot, `[K, 4, h, w]`; cells off the map are obstacles."""
         beyond = jnp.array([0.0, 1.0, 0.0, 0.0], jnp.float32)[:, None, None]
+        # Shift by the fill values, since `pad` has one constant for all planes.
         padded = jnp.pad(planes - beyond, ((0, 0), (view, view), (view, view))) + beyond
         size = (len(planes), 2 * view + 1, 2 * view + 1)
         rows, cols = jnp.divmod(cell, self.world.shape[1])
@@ -463,6 +472,7 @@ class Runs:
 
     def __getstate__(self) -> dict[str, Any]:
         """All but compiled programs; arrays as NumPy arrays, so that unpickling does not start JAX."""
+        # Compiled programs belong to their process.
         kept = {name: value for name, value in vars(self).items() if name not in ("_begin", "_advance")}
         return kept | {"state": jax.tree.map(np.asarray, self.state)}
 
