@@ -1,4 +1,4 @@
-"""One door to all formats: by name or by the file's suffix, into a file or a folder, whole or not at all."""
+"""Export of plans to other formats, chosen by name or by the file's suffix; all files are written, or none."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from planner.world.grid import TURN, Frame, Georeference, near, principal, raste
 from planner.world.raster_bands import affine
 from planner.world.world import World
 
-# What every format writes: a plan on its world, with each robot's chances, and its path as straight runs.
+# Common to all formats: a plan on its world, exact probabilities of the open loop, and paths as straight runs.
 
 DEGREES = 9
 """Decimals of longitude and latitude: a tenth of a millimetre."""
 ALTITUDE, SPEED = 20.0, 3.0
-"""Metres above the place of take-off, and metres a second, where nobody says."""
+"""Defaults: metres above the take-off position, and metres a second."""
 HIGHEST = 10_000.0
 
 
 class Stop(NamedTuple):
-    """Where a robot turns, waits or ends: the step at which it arrives, the cell, and how many steps it waits there."""
+    """End of a straight run: the step at which a robot arrives, the cell, and the steps that it waits there."""
 
     step: int
     cell: int
@@ -48,11 +48,11 @@ class Stop(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Mission:
-    """A plan to be driven.
+    """A plan for export.
 
     Attributes:
         world, plan: the map and the paths on it.
-        altitude: metres above the place of take-off; 0: on the ground. speed: metres a second.
+        altitude: metres above the take-off position; 0: on the ground. speed: metres a second.
     """
 
     world: World
@@ -61,23 +61,23 @@ class Mission:
     speed: float
 
     def check(self) -> None:
-        """Raise UsageError for an altitude or a speed that nothing flies, PlanError for the plan of another map."""
+        """Raise UsageError for an altitude or speed out of range, PlanError for a plan of another map."""
         Numbers(0, HIGHEST, "metres above the ground").check("altitude", self.altitude)
         SPEEDS.check("speed", self.speed)
         self.plan.require(self.world)
 
     @cached_property
     def exact(self) -> OpenLoopExact:
-        """What the open loop is worth, exactly."""
+        """Exact expectations of the open loop."""
         return open_loop_exact(self.plan, self.world)
 
     @property
     def believed(self) -> str:
-        """What precedes the name of a figure of the map that robots believe, where that is not the true one."""
+        """Prefix of the names of figures that belong to the prior map, where it differs from the true map."""
         return "" if self.world.knowledge is None else "believed_"
 
     def unknown(self, figures: tuple[str, ...]) -> tuple[str, ...]:
-        """A note that names those of these figures that are not known of every cell or robot, and why."""
+        """A note with the names of those figures that lack an exact value for some cell or robot, and the reason."""
         doubt = self.world.doubt or self.world.knowledge
         if not figures or doubt is None:
             return ()
@@ -87,23 +87,23 @@ class Mission:
         if not left:
             return ()
         names = " and ".join(filter(None, (", ".join(left[:-1]), left[-1])))
-        return (f"{names} left out where the open loop has no exact value, which `evaluate` samples: {doubt.said}",)
+        return (f"{names} omitted where the open loop has no exact value (`evaluate` estimates them): {doubt.said}",)
 
     @property
     def step_seconds(self) -> float:
-        """Seconds that a step takes."""
+        """Seconds for each step."""
         return self.world.cell_size / self.speed
 
     def stops(self, robot: int) -> list[Stop]:
-        """The path of a robot as the ends of its straight runs."""
+        """The ends of the straight runs of a robot's path."""
         return straight_runs(self.plan.robots[robot].path)
 
     def lonlat(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
-        """(longitude, latitude) of the centres of cells. Raises MapError where nobody says where the map lies."""
+        """(longitude, latitude) of the centres of cells, degrees. Raises MapError for a map without georeference."""
         return rounded(principal(self.on_earth(self.world.to_xy(cells))))
 
     def on_earth(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(longitude, latitude) of points (x, y) of the map's frame; longitudes go on across 180. Raises MapError."""
+        """(longitude, latitude) of points (x, y) in the map frame; longitudes continue beyond 180. Raises MapError."""
         height, width = self.world.shape
         middle = self.world.to_lonlat(self.world.at(height / 2, width / 2))
         assert self.world.georeference is not None
@@ -111,21 +111,23 @@ class Mission:
 
 
 def rounded(places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(longitude, latitude) as files hold them, without a minus before 0."""
+    """(longitude, latitude) with the decimals of files, without -0."""
     return np.round(places, DEGREES) + 0.0
 
 
 def make_mission(world: World, plan: Plan, altitude: float | None = None, speed: float | None = None) -> Mission:
-    """A mission, checked; what is None is ALTITUDE, and what the world says or SPEED. Raises InputError."""
+    """A checked mission. None: ALTITUDE; the speed that the world implies, else SPEED. Raises InputError."""
     if speed is None:
         speed = SPEED if world.pace.seconds is None else world.cell_size / world.pace.seconds
     mission = Mission(world, plan, ALTITUDE if altitude is None else altitude, speed)
+    # Check before any file is opened.
     mission.check()
     return mission
 
 
 def straight_runs(path: NDArray[np.int64]) -> list[Stop]:
-    """The ends of a path's straight runs, the start and the last cell among them; waiting at the end is left out."""
+    """The ends of a path's straight runs, with the start and the last cell; waiting at the end is omitted."""
+    # Plans pad shorter paths by waiting at the end.
     path = path[: last_move(path) + 1]
     moves = np.diff(path)
     stops = [Stop(0, int(path[0]), 0)]
@@ -137,28 +139,30 @@ def straight_runs(path: NDArray[np.int64]) -> list[Stop]:
     return stops
 
 
-# Lines and areas cut at longitude 180, as RFC 7946, 3.1.9, asks: no part of them spans the world on a flat map.
+# Lines and polygons cut at longitude 180 (RFC 7946, section 3.1.9), so that no part spans the whole flat map.
 
 Ring = NDArray[np.float64]
-"""Corners (longitude, latitude) `[points, 2]`, the last one the first; longitudes go on across 180."""
+"""Corners (longitude, latitude) `[points, 2]`, closed; longitudes continue beyond 180."""
 HALF = TURN / 2
 POLE = 90 - 1e-9
-"""Latitude from which a corner is at the pole (0.1 mm)."""
+"""Latitude from which a corner counts as the pole (0.1 mm)."""
 
 
 def over_a_pole(ring: Ring) -> bool:
-    """True for a closed ring around a pole, or through one: every step goes the short way round."""
+    """True for a closed ring around a pole, or through one: the short steps in longitude do not sum to 0."""
+    # Each step is taken the short way around the Earth.
     steps = near(np.diff(ring[:, 0]), 0.0, TURN)
     through = np.abs(np.abs(steps) - HALF) < 1e-6
     return bool(abs(steps.sum()) > HALF or through.any() or (np.abs(ring[:, 1]) >= POLE).any())
 
 
 def cut_line(line: Ring) -> list[Ring]:
-    """The parts of a line, longitudes in -180..180; one that only touches 180 is not cut."""
+    """The parts of a line with longitudes in -180..180; a line that only touches 180 is not cut."""
     parts: list[list[NDArray[np.float64]]] = []
     turn = None
     for one, other in pairwise(line):
         for start, end in _pieces(one, other):
+            # The midpoint decides the turn, so that an end on the seam is unambiguous.
             own = math.floor(((start[0] + end[0]) / 2 + HALF) / TURN)
             if own != turn:
                 parts.append([start - (own * TURN, 0)])
@@ -170,7 +174,7 @@ def cut_line(line: Ring) -> list[Ring]:
 def _pieces(
     one: NDArray[np.float64], other: NDArray[np.float64]
 ) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """A step of a line, cut wherever it crosses a longitude at which a turn ends."""
+    """A segment of a line, cut at every crossing of longitude 180 + 360 n."""
     low, high = sorted((one[0], other[0]))
     seams = [TURN * n + HALF for n in range(math.floor((low - HALF) / TURN), math.ceil((high - HALF) / TURN) + 1)]
     crossed = sorted((seam for seam in seams if low < seam < high), reverse=bool(one[0] > other[0]))
@@ -179,13 +183,13 @@ def _pieces(
 
 
 def _crossing(one: NDArray[np.float64], other: NDArray[np.float64], seam: float) -> NDArray[np.float64]:
-    """Where the step is at this longitude; the same from both ends."""
+    """The crossing of a segment with a longitude; equal for both directions of the segment."""
     (x0, y0), (x1, y1) = sorted((tuple(one), tuple(other)))
     return np.array([seam, y0 + (seam - x0) * (y1 - y0) / (x1 - x0)])
 
 
 def cut_area(rings: list[Ring]) -> list[list[Ring]]:
-    """The parts of an area (its outer ring first, then its holes), each as rings, longitudes in -180..180.
+    """The parts of a polygon (outer ring first, then holes), each as rings with longitudes in -180..180.
 
     Outer rings are counterclockwise and holes clockwise, before and after.
     """
@@ -205,15 +209,15 @@ def cut_area(rings: list[Ring]) -> list[list[Ring]]:
 
 
 def _mirrored(rings: list[Ring]) -> list[Ring]:
-    """East and west changed, corners the other way round, so that the inside stays on the left."""
+    """Mirrored at longitude 0, with corners in reverse order so that the inside stays on the left."""
     return [ring[::-1] * (-1, 1) for ring in rings]
 
 
 def _west_of(rings: list[Ring], seam: float) -> list[Ring]:
-    """What of an area, on the left of its rings, lies west of a longitude: rings in the same sense.
+    """The part of a polygon west of a longitude, as rings of the same orientation.
 
-    The rings' stretches in the west are joined along the longitude, from where the first one leaves the west, in the
-    south, to where the first one enters it, and so on: with the inside on the left, the two take turns.
+    The rings' western stretches are joined along the seam: sorted from south to north, the first stretch that leaves
+    the west is joined to the first that enters it, and so on. The two alternate because the inside is on the left.
     """
     whole: list[Ring] = []
     chains: list[list[NDArray[np.float64]]] = []
@@ -223,6 +227,7 @@ def _west_of(rings: list[Ring], seam: float) -> list[Ring]:
         if west.all() or not west.any():
             whole += [ring] if west.all() else []
             continue
+        # Start each ring where it enters the west, so that no stretch is split.
         first = int(np.flatnonzero(west & ~np.roll(west, 1))[0])
         corners, west = np.roll(corners, -first, axis=0), np.roll(west, -first)
         for at in np.flatnonzero(west):
@@ -245,18 +250,19 @@ def _west_of(rings: list[Ring], seam: float) -> list[Ring]:
 
 
 def _with_holes(rings: list[Ring]) -> list[list[Ring]]:
-    """Outer rings, each with the holes within it; rings without an inside are left out."""
+    """Outer rings, each with its holes; rings of zero area are dropped."""
     sizes = [_signed_area(ring) for ring in rings]
     outer = [[ring] for ring, size in zip(rings, sizes, strict=True) if size > 0]
     for ring, size in zip(rings, sizes, strict=True):
         if size < 0:
+            # The middle of an edge cannot be a corner of the outer ring.
             middle = (ring[0] + ring[1]) / 2
             next((part for part in outer if _holds(part[0], middle)), outer[0]).append(ring)
     return outer
 
 
 def _signed_area(ring: Ring) -> float:
-    """Above 0: counterclockwise."""
+    """Signed area; positive for counterclockwise rings."""
     x, y = (ring - ring[0]).T
     return float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum()) / 2
 
@@ -270,16 +276,16 @@ def _holds(ring: Ring, place: NDArray[np.float64]) -> bool:
     return bool(np.count_nonzero(crosses & (at > place[0])) % 2)
 
 
-# The outline of an area of cells: one outer ring and its holes, as GIS programs want polygons.
+# The outline of an area of cells: one outer ring and its holes.
 
 Corner = tuple[int, int]
 
 
 def outline(cells: NDArray[np.int64], width: int) -> list[list[Corner]]:
-    """Rings (row, col) of cells' corners around a 4-connected area, closed; the outer one first, then the holes.
+    """Closed rings (row, col) of cell corners around a 4-connected area; the outer ring first, then the holes.
 
-    Seen with row 0 at the top, the outer ring is counterclockwise, holes are clockwise (RFC 7946, 3.1.6). Rings touch
-    themselves nowhere: where two cells meet in a corner alone the outline goes over to the other cell.
+    Seen with row 0 at the top, the outer ring is counterclockwise and holes are clockwise (RFC 7946, section 3.1.6).
+    Rings are simple: where two cells meet only in a corner, the outline turns to the other cell.
     """
     ahead = _edges(cells, width)
     rings: list[list[Corner]] = []
@@ -289,6 +295,7 @@ def outline(cells: NDArray[np.int64], width: int) -> list[list[Corner]]:
         while True:
             row, col = at
             left = [(-step[1], step[0]), step, (step[1], -step[0])]
+            # At a corner that two cells share, turn right to keep the ring simple.
             turns = left[::-1] if len(ahead[at]) > 1 else ahead[at]
             new = next(turn for turn in turns if turn in ahead[at])
             ahead[at].remove(new)
@@ -305,7 +312,7 @@ def outline(cells: NDArray[np.int64], width: int) -> list[list[Corner]]:
 
 
 def _edges(cells: NDArray[np.int64], width: int) -> dict[Corner, list[Corner]]:
-    """Where the outline leaves every corner for, (row, col) steps: the area lies on the left."""
+    """For every corner, the steps (row, col) of the outline that leave it: the area is on the left."""
     held = set(cells.tolist())
     ahead: dict[Corner, list[Corner]] = {}
     for cell in held:
@@ -322,20 +329,20 @@ def _edges(cells: NDArray[np.int64], width: int) -> dict[Corner, list[Corner]]:
     return ahead
 
 
-# Paths and areas with their chances as GeoJSON (RFC 7946: longitude and latitude, WGS 84).
+# Paths and areas with their probabilities as GeoJSON (RFC 7946: longitude and latitude, WGS 84).
 
 Position = list[float]
 
 
 @dataclass(frozen=True)
 class Feature:
-    """A path or an area in longitude and latitude, and its facts.
+    """A path or an area in longitude and latitude, with its properties.
 
     Attributes:
-        name: of it. facts: what is known of it.
-        is_area: it is an area, not a path.
-        parts: what a cut at longitude 180 leaves, mostly one part: of a path one line, of an area rings, the outer one
-            first, closed.
+        name: for display. facts: properties.
+        is_area: area or path.
+        parts: after the cut at longitude 180, usually one: a line of a path, or the closed rings of an area, outer ring
+            first.
         points: of a path, uncut.
     """
 
@@ -347,17 +354,17 @@ class Feature:
 
 
 def features(mission: Mission) -> Iterator[Feature]:
-    """Every area of t = 0, then every robot's path. Raises MapError for a map that nobody has put on the Earth."""
+    """Every area at t = 0, then every robot's path. Raises MapError for a map without georeference."""
     yield from _areas(mission)
     yield from paths(mission)
 
 
 def _areas(mission: Mission) -> Iterator[Feature]:
-    """Every area of t = 0. Raises MapError also for one over a pole: it has no ring of longitudes and latitudes.
+    """Every area at t = 0. Raises MapError also for an area over a pole, which has no ring of longitudes and latitudes.
 
-    Of each: `level`, `robot` (that has it at t = 0), `threat` (its largest), and, open loop, exact: `covered` (the
-    mean chance of its cells to be visited), `losses` (robots expected to be lost in it).
-    None: not known exactly. `believed_threat`: of robots that are not told the map.
+    Properties: `level`, `robot` (to which it is assigned at t = 0), `threat` (its largest), and exact for the open
+    loop `covered` (mean probability that its cells are visited) and `losses` (expected robots lost in it). None: no
+    exact value. `believed_threat`: of the prior map, if the team does not know the true map.
     """
     world, width = mission.world, mission.world.shape[1]
     threat = world.threat.ravel()
@@ -375,13 +382,13 @@ def _areas(mission: Mission) -> Iterator[Feature]:
         if any(over_a_pole(ring) for ring in rings):
             problem = f"area {number} lies over a pole, and cannot be written in longitude and latitude"
             fix = "export .tif or .csv, in the map's metres, or .gpx, which holds no areas"
-            raise MapError(problem, source=world.source, expected="areas beside the poles", fix=fix)
+            raise MapError(problem, source=world.source, expected="no area over a pole", fix=fix)
         parts = [[rounded(ring).tolist() for ring in part] for part in cut_area(rings)]
         yield Feature(f"area {number}", True, parts, facts)
 
 
 def paths(mission: Mission) -> Iterator[Feature]:
-    """Every robot's path: `robot`, `steps`, `chance_of_loss` before its end (None: not known exactly)."""
+    """Every robot's path: `robot`, `steps`, `chance_of_loss` before its end (None: no exact value)."""
     world = mission.world
     for number, robot in enumerate(mission.plan.robots):
         facts = {
@@ -391,7 +398,8 @@ def paths(mission: Mission) -> Iterator[Feature]:
             "chance_of_loss": _rounded(1 - mission.exact.survival[number]),
         }
         cells = [stop.cell for stop in mission.stops(number)]
-        line = np.array(cells if len(cells) > 1 else cells * 2)  # of two points, if it never moves too
+        # A LineString needs two points, even if the robot never moves.
+        line = np.array(cells if len(cells) > 1 else cells * 2)
         lines = [[rounded(part).tolist()] for part in cut_line(mission.on_earth(world.to_xy(line)))]
         yield Feature(f"robot {number}", False, lines, facts, mission.lonlat(line).tolist())
 
@@ -418,20 +426,20 @@ def _geometry(feature: Feature) -> Json:
     return {"type": f"Multi{kind}", "coordinates": parts}
 
 
-# The map and what is known of its cells as a GeoTIFF, in the CRS that the map came in.
+# The map and figures of its cells as a GeoTIFF, in the CRS of the map's file.
 
 BANDS = {
-    "threat": "chance that one visit stops a robot",
-    "covered": "chance that the cell is visited (open loop, exact)",
-    "losses": "robots expected to be lost in the cell (open loop, exact)",
+    "threat": "probability that one visit destroys a robot",
+    "covered": "probability that the cell is visited (open loop, exact)",
+    "losses": "expected robots lost in the cell (open loop, exact)",
     "residual": "residual risk: threat * (1 - covered)",
 }
 
 
 def geotiff(mission: Mission) -> bytes:
-    """The bands BANDS, but for those that are known of no cell. Raises MapError without rasterio.
+    """The bands BANDS without those that have no value in any cell. Raises MapError without rasterio.
 
-    Of robots that are not told the map, `believed_threat` and `believed_residual`: with what they believe of it.
+    If the team does not know the true map: `believed_threat` and `believed_residual`, of the prior map.
     """
     world, shape = mission.world, mission.world.shape
     threat, covered = world.threat.astype(np.float64), mission.exact.visited_by_cell.reshape(shape)
@@ -445,9 +453,9 @@ def geotiff(mission: Mission) -> bytes:
 
 
 def raster(world: World, names: Mapping[str, str], bands: NDArray[np.float64]) -> bytes:
-    """Bands `[B, H, W]` as float32, NaN on obstacles; `names`: of each, and what it means.
+    """Bands `[B, H, W]` as float32, NaN on obstacles; `names`: name and description of each.
 
-    A map that nobody has put on the Earth has no CRS in it either. Raises MapError without rasterio.
+    A map without georeference has no CRS. Raises MapError without rasterio.
     """
     rasterio, shape, bands = rasterio_for("a GeoTIFF", world.source), world.shape, np.where(world.free, bands, np.nan)
     frame, place = Frame(shape, world.cell_size, world.origin), world.georeference or Georeference("")
@@ -470,11 +478,11 @@ def raster(world: World, names: Mapping[str, str], bands: NDArray[np.float64]) -
 # KML 2.2 (Google Earth, QGIS) and GPX 1.1 (GPS receivers): both in longitude and latitude, WGS 84.
 
 KML, GPX = "http://www.opengis.net/kml/2.2", "http://www.topografix.com/GPX/1/1"
-NOBODYS = "#777777"
+UNASSIGNED = "#777777"
 
 
 def kml(mission: Mission) -> str:
-    """Folders of areas and paths on the ground, each with its facts, in the colours of the robots."""
+    """Folders of areas and paths on the ground, with properties, in the colours of the robots."""
     top = Element("kml", xmlns=KML)
     document = SubElement(top, "Document")
     _text(document, "name", printable(mission.world.source))
@@ -491,7 +499,8 @@ def _placemark(folder: Element, feature: Feature) -> None:
     place = SubElement(folder, "Placemark")
     _text(place, "name", feature.name)
     robot = feature.facts["robot"]
-    colour = NOBODYS if robot is None else ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
+    colour = UNASSIGNED if robot is None else ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
+    # KML colours are aabbggrr.
     bgr = colour[5:7] + colour[3:5] + colour[1:3]
     style = SubElement(place, "Style")
     line = SubElement(style, "LineStyle")
@@ -520,7 +529,7 @@ def _coordinates(parent: Element, points: list[Position]) -> None:
 
 
 def gpx(mission: Mission) -> str:
-    """A route for every robot, a point at the end of each straight run."""
+    """A route for every robot, with a point at the end of each straight run."""
     top = Element("gpx", xmlns=GPX, version="1.1", creator="mrac-jax")
     for feature in paths(mission):
         route = SubElement(top, "rte")
@@ -528,7 +537,7 @@ def gpx(mission: Mission) -> str:
         if (chance := feature.facts["chance_of_loss"]) is not None:
             _text(route, "desc", f"chance of loss {chance:.6f}")
         for east, north in feature.points:
-            east = -180.0 if east == 180 else east  # GPX has longitudes below 180 alone
+            east = -180.0 if east == 180 else east  # GPX longitudes must be below 180
             SubElement(route, "rtept", lat=f"{north:.9f}", lon=f"{east:.9f}")
     return _document(top)
 
@@ -542,7 +551,7 @@ def _document(top: Element) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(top, encoding="unicode") + "\n"
 
 
-# Poses for nav2, one file a robot: the goal of its action FollowWaypoints, or of NavigateThroughPoses, as YAML.
+# Poses for nav2, one file for each robot: the goal of FollowWaypoints or NavigateThroughPoses, as YAML.
 
 POSE = (
     "- header: {{frame_id: map}}\n"
@@ -550,7 +559,7 @@ POSE = (
     "    position: {{x: {x}, y: {y}, z: 0.0}}\n"
     "    orientation: {{x: 0.0, y: 0.0, z: {z}, w: {w}}}\n"
 )
-"""A geometry_msgs/PoseStamped; stamp 0: the latest transform."""
+"""A geometry_msgs/PoseStamped; stamp 0 means the latest transform."""
 PRESUMED = (
     "# A pose ends a straight run along cells of {cell:g} m. Presumed: footprint and inflation fit into a cell, so\n"
     "# that the costmap leaves the straight way free; xy_goal_tolerance of the goal checker is below {half:g} m, so\n"
@@ -561,7 +570,7 @@ PRESUMED = (
 def nav2_poses(mission: Mission, robot: int) -> str:
     """`poses:`, the start and the end of every straight run, metres in the map frame.
 
-    It faces along the run that it ends. Waiting is left out: nav2 goes on when it has arrived.
+    A pose faces along the run that it ends. Waiting is omitted: nav2 continues on arrival.
     """
     path = mission.plan.robots[robot].path
     steps = np.array([stop.step for stop in mission.stops(robot)])
@@ -576,28 +585,27 @@ def nav2_poses(mission: Mission, robot: int) -> str:
 
 
 def _number(value: float, decimals: int = DECIMALS) -> str:
-    """A float that YAML 1.1 takes for one: never without a point."""
+    """A float in YAML 1.1 syntax, which needs a decimal point."""
     return f"{round(value, decimals) + 0.0:.{decimals}f}"
 
 
-# QGroundControl's plan file, one a robot: https://docs.qgroundcontrol.com/master/en/qgc-dev-
-# guide/file_formats/plan.html.
+# Plan file of QGroundControl, one for each robot (QGroundControl developer guide, "Plan File Format").
 
 TAKE_OFF, WAYPOINT, CHANGE_SPEED = 22, 16, 178
-"""Of MAV_CMD."""
+"""Values of MAV_CMD."""
 ABOVE_HOME, NO_PLACE = 3, 2
-"""Of MAV_FRAME: altitudes are above the place of take-off; an item without a place."""
+"""Values of MAV_FRAME: altitudes above the take-off position; an item without a position."""
 COPTER, ROVER = 2, 10
-"""Of MAV_TYPE."""
+"""Values of MAV_TYPE."""
 PX4 = 12
-"""Of MAV_AUTOPILOT: what QGroundControl plans for where no vehicle is connected; the items are every autopilot's."""
+"""MAV_AUTOPILOT that QGroundControl assumes without a connected vehicle; all autopilots support the items."""
 
 
 def qgc_plan(mission: Mission, robot: int) -> str:
-    """The `.plan` of a robot: the speed, a take-off unless it drives (altitude 0), and a waypoint a straight run.
+    """The `.plan` of a robot: speed, take-off unless it drives (altitude 0), and a waypoint for each straight run.
 
-    Waiting is the hold time of its waypoint. What it does after the last one is not said: the autopilot's default.
-    Raises MapError for a map that nobody has put on the Earth.
+    Waiting is the hold time of its waypoint. After the last waypoint the autopilot's default applies. Raises MapError
+    for a map without georeference.
     """
     stops = mission.stops(robot)
     places = mission.lonlat(np.array([stop.cell for stop in stops])).tolist()
@@ -647,12 +655,12 @@ Content = str | bytes
 
 @dataclass(frozen=True)
 class Format:
-    """A way out.
+    """An export format.
 
     Attributes:
         suffixes: of its files, the usual one first.
-        whole: what a file of the team holds; or `each`: what the file of a robot holds.
-        on_earth: it holds longitudes and latitudes. figures: what of the open loop's exact values is in it.
+        whole: content of the file of the team; or `each`: content of the file of a robot.
+        on_earth: it holds longitudes and latitudes. figures: names of the exact open-loop figures in it.
     """
 
     suffixes: tuple[str, ...]
@@ -662,12 +670,12 @@ class Format:
     figures: tuple[str, ...] = ()
 
     def check(self, world: World) -> None:
-        """Raise MapError for a world of which it cannot be written, before there is a plan."""
+        """Raise MapError for a world that the format cannot describe, before a plan is made."""
         if self.on_earth:
             world.to_lonlat((0, 0))
 
     def names(self, out: Path, robots: int) -> list[Path]:
-        """The files that it writes for `out`: a folder, or a file (numbered where each of several robots has one)."""
+        """The files for `out`: a folder, or a file (numbered if each of several robots has one)."""
         folder, suffix = is_folder(out), self.suffixes[0]
         if self.each is None:
             return [out / f"plan{suffix}"] if folder else [out]
@@ -676,7 +684,7 @@ class Format:
         return [out.with_stem(f"{out.stem}-{robot}") for robot in range(robots)] if robots > 1 else [out]
 
     def contents(self, mission: Mission) -> list[Content]:
-        """What those files hold."""
+        """Contents of these files."""
         if self.each is not None:
             return [self.each(mission, robot) for robot in range(len(mission.plan.robots))]
         assert self.whole is not None
@@ -692,16 +700,16 @@ FORMATS = {
     "csv": Format((".csv",), lambda mission: waypoints_csv(mission.plan, mission.world), on_earth=False),
     "geotiff": Format((".tif", ".tiff"), geotiff, on_earth=False, figures=("covered", "losses", "residual")),
 }
-"""Every way out, by its name."""
+"""Export formats by name."""
 
 
 def is_folder(out: Path) -> bool:
-    """True for a folder that is there, and for a name without a suffix."""
+    """True for an existing folder, and for a name without a suffix."""
     return out.is_dir() or not out.suffix
 
 
 def choose_format(out: Path, to: str | None, name: str = "out") -> Format:
-    """The format called `to`, else that of the suffix of `out`; UsageError naming the argument `name`."""
+    """The format `to`, else that of the suffix of `out`. Raises UsageError that names the argument `name`."""
     if to is not None and to not in FORMATS:
         raise UsageError(argument("to", to), expected=" or ".join(FORMATS), fix=did_you_mean(to, FORMATS))
     suffix = "" if is_folder(out) else out.suffix.lower()
@@ -714,22 +722,23 @@ def choose_format(out: Path, to: str | None, name: str = "out") -> Format:
     if not found:
         known = " ".join(one.suffixes[0] for one in FORMATS.values())
         problem = f"{argument(name, printable(out))}: no format has the suffix {suffix!r}"
-        raise UsageError(problem, expected=known, fix=f"or say {argument('to')} {'|'.join(FORMATS)}" * (name == "out"))
+        raise UsageError(problem, expected=known, fix=f"or add {argument('to')} {'|'.join(FORMATS)}" * (name == "out"))
     return found[0]
 
 
 def export(mission: Mission, out: Path, form: Format, spare: Iterable[Path] = (), *, force: bool = True) -> list[Path]:
-    """Write the mission; returns the files. Nothing is written unless all of it can be made.
+    """Write the mission and return the files. Nothing is written unless all contents can be made.
 
-    Raises InputError: a map that nobody has put on the Earth, an altitude that cannot be flown, a file that cannot be
-    written, or that is the map or `spare`, other files that were read; without `force` one that is there already.
+    Raises InputError: a map without georeference, an altitude out of range, a file that cannot be written, that is the
+    map or one of `spare`, files that were read, or that exists, without `force`.
     """
     names = form.names(out, len(mission.plan.robots))
     check_new(*names, force=force)
     read = {file.resolve() for file in (Path(mission.world.source), *spare)}
     for name in names:
         if name.resolve() in read:
-            raise UsageError(f"{printable(name)} is an input, and would be written", expected="a file of its own")
+            raise UsageError(f"{printable(name)} is an input and would be overwritten", expected="another file")
+    # All contents exist before the first file is written.
     contents = form.contents(mission)
     if is_folder(out):
         try:

@@ -1,4 +1,4 @@
-"""A mission by lines of JSON: orders out, reports in. Every line is checked; one that is wrong changes nothing."""
+"""A mission as lines of JSON: orders out, reports in. Every line is checked; an invalid line changes nothing."""
 
 from __future__ import annotations
 
@@ -31,33 +31,33 @@ from planner.world.keys import Key
 
 FORMAT, VERSION = "mrac-drive", 1
 LONGEST = 2**20
-"""Characters of a line that is read."""
+"""Largest number of characters of a line."""
 KINDS = ("report", "step", "close", "call_off", "orders", "outlook")
 
 
 class Dialogue:
-    """What is answered to each line.
+    """The replies to each line.
 
-    Orders of a step are said at its start, and stay whatever is reported of it: who answers each line that is said is
-    never a line behind, and after a crash they are the same.
+    Orders of a step are written at its start and do not change with reports on the step. A client that replies to each
+    line is therefore never a line behind, and gets the same orders after a crash.
 
     Args:
-        mission: that is driven. state: the file that it is kept in, written before orders are given; None: in none.
-        outlook: says what will come, when it is asked for. unasked: also at the start, and after what changes it.
+        mission: the mission to drive. state: file in which it is saved before orders are written; None: no file.
+        outlook: computes the outlook on request. unasked: also at the start, and after a change of the outlook.
     """
 
     def __init__(
         self, mission: Mission, state: Path | None, outlook: Callable[[], Json], *, unasked: bool = False
     ) -> None:
         self.mission, self._state, self._outlook, self._unasked = mission, state, outlook, unasked
-        self._line, self._told = 0, dict[int, Order]()
+        self._line, self._orders = 0, dict[int, Order]()
 
     def begin(self) -> Iterator[Json]:
-        """The first lines: orders, or that the mission is over."""
-        return self._go_on(asked=True)
+        """The first lines: orders, or the end of the mission."""
+        return self._proceed(asked=True)
 
     def hear(self, line: str) -> Iterator[Json]:
-        """What is said to a line."""
+        """The replies to a line."""
         self._line += 1
         if len(line) <= LONGEST and not line.strip():
             return
@@ -68,93 +68,98 @@ class Dialogue:
         yield from said
 
     def _answer(self, key: Key) -> Iterator[Json]:
-        """What is said to a line that is right. Raises InputError for another, before anything changes."""
+        """The replies to a valid line. Raises InputError for an invalid one, before anything changes."""
         top = key.mapping(("type",), strict=False)
         kind, rest = top["type"].choice(KINDS), {name: value for name, value in key.value.items() if name != "type"}
         given = Key(rest, "", key.source, UsageError)
         if kind == "report":
+            # A repeated report changes nothing and has no reply.
             before, over = (self.mission.said(), self.mission.sees), self.mission.outcome is not None
             hand_on(self.mission.report, given)
             if (self.mission.said(), self.mission.sees) == before:
                 return iter(())
-            told = bool(rest.get("stopped") or rest.get("found") or "moves_left" in rest or rest.get("seen"))
-            return self._go_on(changed=told, step=over)
+            changed = bool(rest.get("stopped") or rest.get("found") or "moves_left" in rest or rest.get("seen"))
+            return self._proceed(changed=changed, step=over)
         if kind == "close":
             self.mission.close(given.mapping(("cells",))["cells"].value)
-            return self._go_on(asked=True)
+            return self._proceed(asked=True)
         if kind == "step":
-            now = whole(0, self.mission.step, what="a step that is not to come")
+            now = whole(0, self.mission.step, what="a step that has begun")
             of = given.mapping(defaults={"step": self.mission.step})["step"].number(now)
-            return self._go_on(step=True) if of == self.mission.step else iter(())
+            return self._proceed(step=True) if of == self.mission.step else iter(())
         given.mapping()
         if kind == "call_off":
             self.mission.call_off()
-            return self._go_on(asked=True)
-        return iter([self._said() if kind == "orders" else self._foreseen()])
+            return self._proceed(asked=True)
+        return iter([self._orders_line() if kind == "orders" else self._outlook_line()])
 
-    def _go_on(self, *, asked: bool = False, changed: bool = False, step: bool = False) -> Iterator[Json]:
-        """End steps in which nobody is waited for, keep the mission, and say what is to be done if that is new.
+    def _proceed(self, *, asked: bool = False, changed: bool = False, step: bool = False) -> Iterator[Json]:
+        """End steps that wait for no robot, save the mission, and write new orders.
 
-        `asked`: orders are said in any case, by what is known now. `changed`: what will come is another.
-        Raises StateError where the mission cannot be kept: no orders are given then that a file does not know.
+        Args:
+            asked: orders are written in any case, for the present map. changed: the outlook has changed.
+
+        Raises StateError if the mission cannot be saved: then no orders are written, as they would be lost in a crash.
         """
         mission, before = self.mission, self.mission.step
         if asked:
-            self._told = mission.first_orders()
-        while step or (mission.outcome is None and not mission.awaited_of(self._told)):
+            self._orders = mission.first_orders()
+        # Steps in which no robot has an order to confirm end at once.
+        while step or (mission.outcome is None and not mission.awaited_of(self._orders)):
             mission.advance()
-            self._told, step = mission.orders(), False
+            self._orders, step = mission.orders(), False
+        # Save before orders leave: after a crash the same orders must be written again.
         if self._state is not None:
             mission.save(self._state)
         if asked or mission.step > before:
-            yield self._said()
+            yield self._orders_line()
         if (asked or changed) and self._unasked and mission.outcome is None:
-            yield self._foreseen()
+            yield self._outlook_line()
 
-    def _foreseen(self) -> Json:
-        """What will come."""
+    def _outlook_line(self) -> Json:
+        """The outlook."""
         return self._outlook() | {"type": "outlook", "step": self.mission.step}
 
-    def _said(self) -> Json:
-        """Orders, or that the mission is over."""
+    def _orders_line(self) -> Json:
+        """The orders, or the end of the mission."""
         mission = self.mission
         if mission.outcome is not None:
             return {"type": "end", **mission.known()}
-        orders = [order.to_json() for order in self._told.values()]
+        orders = [order.to_json() for order in self._orders.values()]
         return {"type": "orders", "format": FORMAT, "version": VERSION, **mission.known(), "orders": orders}
 
 
 def _parsed(line: str, source: str) -> Any:
-    """A line's JSON object; UsageError for what is none."""
+    """A line's JSON object. Raises UsageError for other text."""
     expected = f'a JSON object with "type": {", ".join(KINDS)}'
     if len(line) > LONGEST:
         raise UsageError(f"a line of {len(line)} characters", source=source, expected=f"at most {LONGEST}")
     try:
         found = json.loads(line, parse_constant=lambda name: math.nan)
     except (ValueError, RecursionError) as error:
-        raise UsageError(f"no JSON ({str(error)[:60]})", source=source, expected=expected) from None
+        raise UsageError(f"not JSON ({str(error)[:60]})", source=source, expected=expected) from None
     if not isinstance(found, dict):
-        raise UsageError("no JSON object", source=source, expected=expected)
+        raise UsageError("not a JSON object", source=source, expected=expected)
     return found
 
 
-# What will come of a mission from where it stands, and what if it went on otherwise: rollouts on common luck.
+# The outlook of a mission from its present state, and with changes, with common random numbers.
 
 SECONDS = 0.5
-"""For an answer, if nobody says how many or how long."""
+"""Default time for an outlook."""
 BLOCK = 512
-"""Rollouts of a call; a multiple of it is made in the seconds."""
+"""Rollouts of a call. A default outlook has a multiple of it."""
 
 
 @dataclass(frozen=True)
 class Outlook:
-    """What a mission will have come to at its end, from where it stands.
+    """Expectations at the end of a mission, from its present state.
 
     Attributes:
-        rollouts: behind the figures.
-        covered: share of the accessible cells visited at the end, what is visited already included.
-        lost: robots more than now. steps: until the end. complete: chance that every cell is visited.
-        home: robots that are home then; None: they need not come home.
+        rollouts: number of rollouts.
+        covered: share of the accessible cells visited at the end, including those visited already.
+        lost: further robots lost. steps: until the end. complete: probability that every cell is visited.
+        home: robots at the base at the end; None: they need not return.
     """
 
     rollouts: int
@@ -173,10 +178,10 @@ class Outlook:
 
 @dataclass(frozen=True)
 class WhatIf:
-    """A mission gone on with as it is, and otherwise, on the same luck.
+    """The outlook of a mission with and without changes, with common random numbers.
 
     Attributes:
-        now, then: both. covered, lost: differences, then - now.
+        now: without changes. then: with changes. covered, lost: differences, then - now.
     """
 
     now: Outlook
@@ -191,22 +196,22 @@ class WhatIf:
 
 
 class DrivenMission(Mission):
-    """A mission that also says what will come of it, by the compiled simulator, from the end of the last step."""
+    """A mission with an outlook: compiled rollouts from the end of the last step."""
 
     def check_foreseen(self) -> None:
-        """Raise UsageError where the mission is over, WorldError for hazards, maps in doubt and phases."""
+        """Raise UsageError if the mission is over, WorldError for hazards, uncertain maps and phases."""
         if self.outcome is not None:
-            raise UsageError("the mission is over", expected="one that goes on")
+            raise UsageError("the mission is over", expected="a mission under way")
         self.given.check_settled("the rest of a mission")
 
     def outlook(self, rollouts: int | None = None, seconds: float | None = None, seed: int = 0) -> Outlook:
-        """What will be covered, robots lost, steps left, each with its 95 % interval.
+        """Cells covered, robots lost and steps left, each with its 95 % interval.
 
         Args:
-            rollouts: how many; None: as many as `seconds` (half a second in all) leave time for, in blocks of 512.
+            rollouts: number; None: as many blocks of 512 as fit into `seconds` (default 0.5).
             seed: of the rollouts.
 
-        Raises UsageError, PlanError for a rule of one's own, WorldError for hazards and maps in doubt.
+        Raises UsageError, PlanError for a user's rule, WorldError for hazards and uncertain maps.
         """
         (found,) = self._roll_out([{}], rollouts, seconds, seed)
         return self._seen(found)
@@ -221,18 +226,18 @@ class DrivenMission(Mission):
         seed: int = 0,
         **changes: Any,
     ) -> WhatIf:
-        """The same beside a mission that goes on otherwise from here, on common luck.
+        """The outlook without and with changes from here on, with common random numbers.
 
         Args:
-            without: robots that do no more from here on. call_off: it ends here; robots that come home turn now.
-            changes: settings, as `policy="per_cell"`, `worth=12`.
-            rollouts, seconds, seed: as of `outlook`.
+            without: robots that get no more work. call_off: the mission ends here; robots that must return start now.
+            changes: settings, as `policy="per_cell"`, `robot_value=12`.
+            rollouts, seconds, seed: as in `outlook`.
 
-        Raises UsageError where it is called off and goes on otherwise, and as `outlook` does.
+        Raises UsageError for `call_off` together with changes, and as `outlook` does.
         """
         without = tuple(without)
         if call_off and (without or changes):
-            raise UsageError("a mission that is called off, and goes on otherwise", expected="one of the two")
+            raise UsageError("both call_off and changes are given", expected="one of the two")
         otherwise = [changes | {"without": without}]
         if call_off:
             otherwise = [{"call_off": True}] if self.settings.return_to is not None and self.step > 0 else []
@@ -249,12 +254,12 @@ class DrivenMission(Mission):
 
     @cached_property
     def _tables(self) -> AllPairs:
-        """Of all pairs of cells, made once."""
+        """The distance tables of the map, computed once."""
         return AllPairs()
 
     @property
     def _past(self) -> int:
-        """Steps that are over; entering the starts, step 0, takes no time."""
+        """Number of completed steps; entering the starts, step 0, takes no time."""
         return max(self.step - 1, 0)
 
     @property
@@ -264,15 +269,17 @@ class DrivenMission(Mission):
     def _roll_out(
         self, ways: list[dict[str, Any]], rollouts: int | None, seconds: float | None, seed: int
     ) -> list[RolloutResults]:
-        """The same rollouts of each way to go on (arguments of `rest`): so many, or blocks of them for so long."""
+        """The same rollout ids for each set of changes (arguments of `rest`): `rollouts`, or blocks until `seconds`."""
         POSITIVE.check("seconds", seconds, optional=True)
         ends = time.monotonic() + (SECONDS if seconds is None else seconds)
         self.check_foreseen()
+        # Check all arguments before the first compilation.
         whole(1, MOST_ROLLOUTS).check("rollouts", rollouts, optional=True)
         choices = RolloutChoices(seed=seed, exact="never")
         rolls = [make_singles(self.world, self.rest(**way, nominal=False), choices, self._tables) for way in ways]
         if rollouts is not None:
             return [roll(0, rollouts) for roll in rolls]
+        # All alternatives get the same ids, also under a time limit.
         parts = [[roll(0, BLOCK)] for roll in rolls]
         while time.monotonic() < ends:
             for roll, part in zip(rolls, parts, strict=True):
@@ -280,9 +287,10 @@ class DrivenMission(Mission):
         return [RolloutResults.join(part) for part in parts]
 
     def _seen(self, found: RolloutResults) -> Outlook:
-        """The figures of rollouts."""
+        """The estimates of rollouts."""
         count, step = len(found.visited), self._past
         lost = np.bincount(self._lost(found), minlength=self._alive + 1)
+        # Times of rollouts count from t = 0, the outlook's from now.
         left = np.bincount(found.time - step)
         most = self.last_step - step
         values = np.flatnonzero(left)
@@ -299,14 +307,15 @@ class DrivenMission(Mission):
         )
 
     def _lost(self, found: RolloutResults) -> NDArray[np.int64]:
-        """int64 `[B]`: robots lost from now on."""
+        """int64 `[B]`: further robots lost."""
         return (self._alive - found.alive).astype(np.int64)
 
     def _ended(self, found: RolloutResults) -> RolloutResults:
-        """The same rollouts of a mission that ends here."""
+        """The same rollouts for a mission that ends here."""
         fleet = self._fleet
         visited, survived = (int(np.count_nonzero(cells)) for cells in (fleet.visited, fleet.survived))
         same = {"visited": visited, "survived": survived, "time": self._past, "alive": self._alive}
         same["home"] = int(at_base(fleet.t, fleet.raw).sum()) if fleet.loop.comes_home else 0
+        # One row for each rollout, so that the comparison stays paired.
         ended = {name: np.full_like(getattr(found, name), value) for name, value in same.items()}
         return replace(found, outcome=np.full_like(found.outcome, Outcome.ENDED_BY_OPERATOR), **ended)

@@ -1,6 +1,6 @@
-"""Exposure and tolerance (`planner.failure_model`) in two words of 32 bits, the leading one first, along the last axis.
+"""Hazards and failure thresholds (`planner.failure_model`) as pairs of 32-bit words, high word first, on the last axis.
 
-JAX has no larger whole numbers unless a whole process switches them on.
+JAX has no 64-bit integers unless they are enabled for the whole process.
 """
 
 from __future__ import annotations
@@ -25,35 +25,34 @@ WORDS, WORD = 2, 32
 
 
 def two_words(units: NDArray[np.int64]) -> NDArray[np.uint32]:
-    """uint32 `[.., 2]` of numbers that are not negative, `[..]`."""
+    """uint32 `[.., 2]` of non-negative integers `[..]`."""
     return np.stack([units >> WORD, units & (2**WORD - 1)], axis=-1).astype(np.uint32)
 
 
 def is_reached(left: jax.Array, exposure: jax.Array) -> jax.Array:
-    """Whether the exposure is as much as is left or more, bool `[..]` of `[.., 2]`."""
+    """Whether the hazard reaches the remaining threshold, bool `[..]` of `[.., 2]`."""
     more, as_much = exposure[..., 0] > left[..., 0], exposure[..., 0] == left[..., 0]
     return more | (as_much & (exposure[..., 1] >= left[..., 1]))
 
 
 def less(left: jax.Array, exposure: jax.Array) -> jax.Array:
-    """What is left after an exposure that does not reach it, `[.., 2]`."""
-    borrowed = (left[..., 1] < exposure[..., 1]).astype(jnp.uint32)
-    return jnp.stack([left[..., 0] - exposure[..., 0] - borrowed, left[..., 1] - exposure[..., 1]], axis=-1)
+    """The remaining threshold after a hazard that does not reach it, `[.., 2]`."""
+    borrow = (left[..., 1] < exposure[..., 1]).astype(jnp.uint32)
+    return jnp.stack([left[..., 0] - exposure[..., 0] - borrow, left[..., 1] - exposure[..., 1]], axis=-1)
 
 
 def tolerance_words(word: jax.Array) -> jax.Array:
-    """What robots bear, uint32 `[.., 2]`, by their random words, uint32 `[..]`:
+    """Failure thresholds of robots, uint32 `[.., 2]`, from random words, uint32 `[..]`:
     `planner.simulator.thresholds.tolerance_of`."""
-    with jax.enable_x64(True):  # of what is traced here alone
+    with jax.enable_x64(True):  # only for this trace
         odd = 2 * word.astype(jnp.int64) + 1
         units = log_units(odd, 63 - jax.lax.clz(odd), jnp.asarray(LOGARITHMS))
         return jnp.stack([units >> WORD, units & (2**WORD - 1)], axis=-1).astype(jnp.uint32)
 
 
-# Threefry-2x32 with 20 rounds in jnp: the words of `planner.failure_model`, written out so that XLA fuses them away.
+# Threefry-2x32 with 20 rounds in jnp: the words of `planner.failure_model`, unrolled so that XLA can fuse them.
 #
-# `jax.random` is not used: its streams are flags away from changing, and its Threefry never fuses on a CPU (a tenth of
-# the words a second).
+# `jax.random` is not used: flags change its streams, and its Threefry never fuses on a CPU (a tenth of the speed).
 
 
 def threefry2x32(key: jax.Array, counter0: jax.Array, counter1: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -77,27 +76,27 @@ def robot_words(key: jax.Array, ids: jax.Array, robots: int) -> jax.Array:
     return threefry2x32(key, jnp.broadcast_to(ids[..., None], shape), robot)[0]
 
 
-# Arrays of the JAX engines: made of NumPy on the host, read as JAX arrays by what is traced.
+# Arrays of the JAX engines: NumPy arrays on the host, JAX arrays inside traced functions.
 
 Array: TypeAlias = jax.Array
 STATIC = {"static": True}
-"""Of fields of tables that programs are compiled for; all others are data."""
+"""Metadata of static fields, for which programs are compiled; all others are data."""
 AnyTables = TypeVar("AnyTables")
 
 
 def on_host(kind: Callable[..., AnyTables], **fields: Any) -> AnyTables:
-    """Tables of NumPy arrays, in the place of JAX arrays until all of them are put on a device at once."""
+    """Tables of NumPy arrays in place of JAX arrays, until all are put on a device at once."""
     return kind(**fields)
 
 
-# What is in doubt about a map (`planner.world.uncertain_maps`), as both loops draw it in JAX, in numbers of 32 bits.
+# Uncertain maps (`planner.world.uncertain_maps`) for both loops in JAX, with 32-bit integers.
 #
-# Who is stopped is a matter of what robots bear; what is true of the map is drawn for each rollout and cell, where a
-# robot enters it: it takes no room, and few cells are entered.
+# Robots have one failure threshold each. The true map is sampled by rollout and cell, when a robot enters the cell:
+# this needs no memory, and few cells are entered.
 
 LEAST_TABLE = 2**11
 DIGIT, DIGITS = 8, 3
-"""Of the 24 bits of a number; times up to MOST_MAPS each of them fits into 32 bits."""
+"""Splits the 24 bits of a word into digits; products with up to MOST_MAPS then fit into 32 bits."""
 MOST_MAPS = UNIT
 
 
@@ -107,10 +106,10 @@ class Doubt:
     """`planner.world.uncertain_maps.Draws`, padded: one program for hazards and maps of all kinds. Axis `N`, places.
 
     Attributes:
-        key: uint32 `[2]`, under which it is drawn. counter, there: uint32 `[N]`; column: int32 `[N]`.
-        doses: uint32 `[2**n, 2]`, what a visit adds by row and column, row after row; for hazards nothing but 0.
+        key: uint32 `[2]`, of the random words. counter, there: uint32 `[N]`; column: int32 `[N]`.
+        doses: uint32 `[2**n, 2]`, hazard of a visit by row and column, row-major; 0 for latent hazards.
         rows, columns: uint32 and int32 scalars.
-        spends: bool scalar, the first hit makes a place harmless.
+        spends: bool scalar, the first loss removes the hazard of a place.
     """
 
     key: Array
@@ -124,9 +123,9 @@ class Doubt:
 
 
 def make_doubt(drawn: Tables | JointDraws, key: tuple[int, int], spends: bool, size: int) -> Doubt:
-    """What is drawn (NumPy) at all places of either loop, with room for `size` of them.
+    """The uncertain map of either loop (NumPy), padded to `size` places.
 
-    Raises WorldError for more maps than a number tells apart.
+    Raises WorldError for more maps than a 24-bit word distinguishes.
     """
     rows, columns = drawn.doses.shape
     if rows > MOST_MAPS:
@@ -145,10 +144,10 @@ def make_doubt(drawn: Tables | JointDraws, key: tuple[int, int], spends: bool, s
 
 
 def exposure_in_doubt(doubt: Doubt, rollout: jax.Array, place: jax.Array, most: Array) -> jax.Array:
-    """What visits add, uint32 `[.., 2]`, as the places are in these rollouts; `most`: where a hazard is there."""
+    """Hazard of visits, uint32 `[.., 2]`, at these places in these rollouts; `most`: of an existing latent hazard."""
     word = threefry2x32(doubt.key, rollout, _at(doubt.counter, place))[0] >> jnp.uint32(8)
     row = jnp.zeros_like(word)
-    for digit in range(DIGITS):  # word * rows >> 24: the product has up to 48 bits
+    for digit in range(DIGITS):  # word * rows >> 24, digit by digit: the product has up to 48 bits
         value = (word >> jnp.uint32(DIGIT * digit)) & jnp.uint32(2**DIGIT - 1)
         row = (value * doubt.rows + row) >> jnp.uint32(DIGIT)
     listed = _at(doubt.doses, row.astype(jnp.int32) * doubt.columns + _at(doubt.column, place))

@@ -1,7 +1,7 @@
 """The open loop in JAX: one program for CPU and GPU, written for one rollout and batched in `_draw` and `_score`.
 
-The stages are kept apart by barriers: XLA would otherwise draw every random word again for each word of event bits that
-it helps to look up. Counts leave the device as sums over all batches, so its outputs do not grow with the rollouts.
+Barriers separate the stages: without them XLA repeats the sampling of random words for each word of event bits. Counts
+leave the device as sums over all batches, so that outputs do not grow with the number of rollouts.
 """
 
 from __future__ import annotations
@@ -44,24 +44,25 @@ from planner.rollouts.open_loop import (
 from planner.rollouts.open_loop_events import WORD_BITS, JointDraws
 from planner.tally import RolloutResults
 
-# Joint events of a batch of rollouts in JAX: OR the event bits of the groups' rows, add weights, count every event.
+# Joint events of a batch: unite the event bits of the groups' rows by OR, sum weights, and count every event.
 #
-# How the loops nest decides the speed. Of rows of few words XLA makes one fused reduction over the groups, several
-# times
-# as fast as a loop; of long ones it would look up one word at a time (40 us a rollout at 64 robots on 256x256), and it
-# looks up whole rows in a loop over groups (under 1 us).
+# The nesting of the loops determines the speed. For short rows XLA makes one fused reduction over the groups, several
+# times as fast as a loop. For long rows that reduction looks up one word at a time (40 us a rollout for 64 robots on
+# 256x256 cells), so a loop over groups looks up whole rows (under 1 us).
 
 MOST_FUSED_WORDS = 16
-"""Rows of at most so many words are united in one fused reduction."""
+"""Largest number of words in a row for one fused reduction."""
 ROWS_A_STEP = 8
-"""Rows that one step of the loop over groups adds to the union: it is read and written once for all of them."""
+"""Rows that one step of the loop over groups unites: the union is read and written once for all of them."""
 
 
 def unite(bits: jax.Array, rows: jax.Array) -> jax.Array:
-    """All joint events of each rollout, uint32 `[B, W]`, from its rows, int32 `[G, B]`; bits: uint32 `[R, W]`."""
+    """Joint events of each rollout, uint32 `[B, W]`, from its rows, int32 `[G, B]`; bits: uint32 `[R, W]`."""
     groups, batch = rows.shape
     if bits.shape[1] <= MOST_FUSED_WORDS:
+        # Short rows: XLA fuses the lookup with the reduction.
         return jax.vmap(lambda mine: jax.lax.reduce_or(_rows_at(bits, mine), axes=(0,)), in_axes=1)(rows)
+    # A divisor of the number of groups, so that no padding is needed.
     a_step = next(size for size in range(min(ROWS_A_STEP, groups), 0, -1) if groups % size == 0)
 
     def add(union: jax.Array, several: jax.Array) -> tuple[jax.Array, None]:
@@ -79,16 +80,16 @@ def _rows_at(bits: jax.Array, rows: jax.Array) -> jax.Array:
 
 def weigh(planes: jax.Array, union: jax.Array) -> jax.Array:
     """Sum of the weights of each rollout's joint events, uint32 `[B]`; planes `[planes, W']`, union `[B, W]`."""
-    lead, total = union[:, : planes.shape[1]], jnp.zeros(len(union), dtype=jnp.uint32)
+    weighted, total = union[:, : planes.shape[1]], jnp.zeros(len(union), dtype=jnp.uint32)
     for place, plane in enumerate(planes):
-        total += jax.lax.population_count(lead & plane).sum(axis=1, dtype=jnp.uint32) << jnp.uint32(place)
+        total += jax.lax.population_count(weighted & plane).sum(axis=1, dtype=jnp.uint32) << jnp.uint32(place)
     return total
 
 
 def count_events(union: jax.Array) -> jax.Array:
-    """Rollouts in which each event happened, int32 `[W * 32]`, from uint32 `[B, W]`, B a multiple of 128.
+    """Number of rollouts with each event, int32 `[W * 32]`, from uint32 `[B, W]`, B a multiple of 128.
 
-    Sums in growing fields: four bits an event over 8 rollouts, eight bits over 128, then 32 bits.
+    Sums in fields of growing width: four bits over 8 rollouts, eight bits over 128, then 32 bits.
     """
     batch, words = union.shape
     eight = union.reshape(8, batch // 8, words)
@@ -105,22 +106,22 @@ def count_events(union: jax.Array) -> jax.Array:
     return counts.transpose(3, 0, 1, 2).reshape(words * WORD_BITS).astype(jnp.int32)
 
 
-# All padding of the JAX engine's tables: sizes rounded up to a few, so that many plans share one compilation.
+# Padding of the JAX engine's tables: sizes are rounded up to few values, so that many plans share one compilation.
 
 ENTRIES_A_STEP = 4
-"""Dangerous entries of maps in doubt that are drawn before anybody looks whether any rollout goes on."""
+"""Threat entries of uncertain maps that are sampled between two checks whether any rollout continues."""
 LEAST_PLANES = 3
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class PaddedDraws:
-    """`open_loop.joint_draws.JointDraws` with every size rounded up; entries after the last hit nobody.
+    """`open_loop_events.JointDraws` with rounded sizes; padding entries destroy no robot.
 
     Attributes:
-        slot, place, spot: `[E]`. exposure: uint32 `[E, 2]`, the most that the entry adds; doubt: how much of it. count:
-            int32 scalar, E without the padding.
-        last: int32 `[S]`. spent: `[spots]`, of no value: how many cells are kept for each rollout, one at least.
+        slot, place, spot: `[E]`. exposure: uint32 `[E, 2]`, largest hazard of the entry; doubt: the actual hazard.
+        count: int32 scalar, E without padding.
+        last: int32 `[S]`. spent: `[spots]`, only its size is used: number of cells tracked in each rollout, at least 1.
     """
 
     slot: Array
@@ -136,20 +137,20 @@ class PaddedDraws:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class PaddedTables:
-    """What the JAX engine reads; axis letters as in `open_loop.compiled`, sizes padded (see `pad_tables`).
+    """Input of the JAX engine; axis letters as in `planner.rollouts.open_loop`, sizes padded (see `pad_tables`).
 
     Attributes:
-        counter: uint32 `[S]`, second counter word of each slot's number.
+        counter: uint32 `[S]`, second counter word of each slot's random number.
         guide, threshold: uint32 `[S, buckets]` and `[S, D]`, table and thresholds of
-            `planner.rollouts.open_loop_events.Guide`; nothing where the map is in doubt.
+            `planner.rollouts.open_loop_events.Guide`; empty for uncertain maps.
         first_row: int32 `[G]`; stride: int32 `[G, A]`.
-        visited, survived: uint32 `[R]`, cells of the group's own events. time: uint32 `[R]`, last step at which a robot
-            of it moves; alive: uint32 `[R]`, robots of it alive.
+        visited, survived: uint32 `[R]`, cells of the group's own events. time: uint32 `[R]`, last step at which one of
+            its robots moves; alive: uint32 `[R]`, number of its live robots.
         bits: uint32 `[R, words]`, the joint events of every row.
         visited_planes, survived_planes: uint32 `[planes, weighted words]`: bit p of the weights of the first words'
-            events; the others have none.
-        joint: what is drawn instead where the map is in doubt, else None.
-        drop_row: int32 scalar, the first row that counts nothing: where rollouts that were not asked for go.
+            events; other words have weight 0.
+        joint: sampling tables of uncertain maps, else None.
+        drop_row: int32 scalar, the first row without counts, for rollouts out of range.
         mantissa, bisections: static, of the guide.
         cell_bins, time_bins, robot_bins: static, sizes of the histograms.
     """
@@ -176,7 +177,7 @@ class PaddedTables:
 
 
 def size_bucket(size: int) -> int:
-    """The least of 1 .. 8 and their doublings that is at least `size`: at most a quarter too large."""
+    """The smallest of 1 .. 8 and their doublings that is at least `size`: at most a quarter larger."""
     if size <= 8:
         return max(size, 1)
     unit = 1 << ((size - 1).bit_length() - 3)
@@ -184,21 +185,21 @@ def size_bucket(size: int) -> int:
 
 
 def power_bucket(size: int, least: int = 1) -> int:
-    """The least power of two that is at least `size` and `least`."""
+    """The smallest power of two that is at least `size` and `least`."""
     return max(least, 1 << max(size - 1, 0).bit_length())
 
 
 def pad_tables(compiled: CompiledPlan, seed: int) -> PaddedTables:
     """The tables with every size rounded up.
 
-    What the padding holds, and why it changes no count:
+    Content of the padding, and why it changes no count:
 
-    - rows (to a power of two, one spare at least): all zero: no cells, no time, nobody alive, no events. Groups that do
-      not exist (G rounded up) stay in the first spare row, `drop_row`, with stride 0; its count is never read.
+    - rows (to a power of two, at least one spare): all zero: no cells, time, live robots or events. Padding groups (G
+      rounded up) stay in the first spare row, `drop_row`, with stride 0; its count is never read.
     - words (to 2, 4, 6, 8, ...): no event has these bits; weights 0.
     - planes (to 3, 4, ...): no weight has these bits.
-    - slots of groups that do not exist: guide and thresholds 0 (no word is below): outcome 0, and their stride is 0.
-    - entries of all robots after the last one of a map in doubt: not counted, nobody is stopped.
+    - slots of padding groups: guide and thresholds 0 (no word is below): outcome 0, and their stride is 0.
+    - entries of uncertain maps after the last one: not counted, no robot is lost.
     - histogram bins beyond the largest value: never reached.
     """
     tables = compiled.tables
@@ -239,7 +240,7 @@ def pad_tables(compiled: CompiledPlan, seed: int) -> PaddedTables:
 
 
 def pad_draws(joint: JointDraws, key: tuple[int, int], slot_pad: int) -> PaddedDraws:
-    """The draws with every size rounded up, and so many slots of no robot."""
+    """The sampling tables with every size rounded up, and `slot_pad` slots of no robot."""
     size = power_bucket(len(joint.slot), 64)
     slot, place, exposure, spot = (
         np.pad(each, (0, size - len(joint.slot))) for each in (joint.slot, joint.place, joint.exposure, joint.spot)
@@ -259,23 +260,23 @@ def pad_draws(joint: JointDraws, key: tuple[int, int], slot_pad: int) -> PaddedD
 
 
 def _grow(array: NDArray, *pads: int, fill: int = 0, dtype: type = np.uint32) -> NDArray:
-    """`array` with so many more places at the end of each axis."""
+    """`array`, extended at the end of each axis."""
     return np.pad(array, [(0, pad) for pad in pads], constant_values=fill).astype(dtype)
 
 
 LEAST_BATCH, MOST_BATCH = 1024, 16384
 BATCH_WORDS = 2**20
-"""32-bit words a rollout batch may pass from stage to stage: about a core's second cache."""
+"""32-bit words per batch that may pass between stages: about the size of a core's second-level cache."""
 MOST_PER_CALL = 2**28
-"""Rollouts a call of the compiled program: its sums are int32."""
+"""Rollouts in one call of the compiled program: its sums are int32."""
 CPU_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
-"""XLA's default is 256 bits; 512 gives 1.4 times the random words a second where the CPU has them."""
+"""XLA's default is 256 bits; 512 gives 1.4 times the random words per second on CPUs that have them."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Score:
-    """What a rollout came to, uint32: cells visited, cells survived, last step of a move, robots alive."""
+    """Results of a rollout, uint32: cells visited, cells survived, last step of a move, robots alive."""
 
     visited: jax.Array
     survived: jax.Array
@@ -285,13 +286,12 @@ class Score:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Luck:
-    """What decides who is stopped.
+class Failures:
+    """Random numbers of failures.
 
     Attributes:
-        key: uint32 `[2]`, under which a robot's one number is drawn.
-        left: uint32 `[S, B, 2]`, what robots bear in one batch, where the map is in doubt (`mrac_jax.arrays`);
-            else None.
+        key: uint32 `[2]`, of the robots' random words.
+        left: uint32 `[S, B, 2]`, failure thresholds in one batch, for uncertain maps (`mrac_jax.arrays`); else None.
     """
 
     key: Array
@@ -305,10 +305,10 @@ class Sums:
 
     Attributes:
         rows: `[R]`, rollouts by row. events: `[words * 32]`, rollouts by event bit.
-        visited: `[2 * cells + 1]`, rollouts by (all robots stopped, cells visited); survived: `[cells + 1]`.
+        visited: `[2 * cells + 1]`, rollouts by (all robots lost, cells visited); survived: `[cells + 1]`.
         time: `[steps + 1]`; alive: `[robots + 1]`.
 
-    The last bin of each histogram is for rollouts that were not asked for.
+    The last bin of each histogram is for rollouts out of range.
     """
 
     rows: Array
@@ -320,7 +320,7 @@ class Sums:
 
 
 def outcome_of(tables: PaddedTables, word: jax.Array, slot: jax.Array) -> jax.Array:
-    """One slot's outcome, int32 scalar, by inverse survival of its word (formula: `open_loop.guide.Guide`)."""
+    """One slot's outcome, int32 scalar, by inverse survival of its word (`planner.rollouts.open_loop_events.Guide`)."""
     mantissa, low_bits = tables.mantissa, 31 - tables.mantissa
     zeros = jax.lax.clz(word | jnp.uint32(1))
     normal = word << zeros
@@ -336,21 +336,21 @@ def outcome_of(tables: PaddedTables, word: jax.Array, slot: jax.Array) -> jax.Ar
     return outcome
 
 
-def _draw(tables: PaddedTables, luck: Luck, rollouts: jax.Array) -> jax.Array:
-    """Outcomes, int32 `[S, B]`: the per-rollout draws, batched over rollouts here, slot after slot."""
-    if tables.joint is not None and luck.left is not None:
-        return _joint_outcomes(tables.joint, luck.left, rollouts)
+def _draw(tables: PaddedTables, draws: Failures, rollouts: jax.Array) -> jax.Array:
+    """Outcomes, int32 `[S, B]`: sampling for each rollout, batched over rollouts, slot after slot."""
+    if tables.joint is not None and draws.left is not None:
+        return _joint_outcomes(tables.joint, draws.left, rollouts)
 
     def draw(slot: jax.Array) -> jax.Array:
-        return threefry2x32(luck.key, rollouts, tables.counter[slot])[0]
+        return threefry2x32(draws.key, rollouts, tables.counter[slot])[0]
 
     slots = jnp.arange(tables.counter.shape[0], dtype=jnp.int32)
-    words = jax.lax.map(draw, slots)  # a loop, so that XLA keeps the words: it would draw them twice
+    words = jax.lax.map(draw, slots)  # a loop, so that XLA keeps the words instead of sampling them twice
     return jax.vmap(jax.vmap(partial(outcome_of, tables), in_axes=(0, None)))(words, slots)
 
 
 def _joint_outcomes(joint: PaddedDraws, left: jax.Array, rollouts: jax.Array) -> jax.Array:
-    """Outcomes, int32 `[S, B]`, entry by entry of all robots; left: as in `Luck`."""
+    """Outcomes, int32 `[S, B]`, entry by entry of all robots; left: see `Failures`."""
     Draws = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
     last = joint.last[:, None]
 
@@ -362,6 +362,7 @@ def _joint_outcomes(joint: PaddedDraws, left: jax.Array, rollouts: jax.Array) ->
         entry, outcome, left, spent = state
         for number in (entry + more for more in range(ENTRIES_A_STEP)):
             slot, spot = joint.slot[number], joint.spot[number]
+            # Only live robots are tested, and only where no hazard was removed in this rollout.
             checked = (number < joint.count) & (outcome[slot] == joint.last[slot]) & ~spent[spot]
             exposure = exposure_in_doubt(joint.doubt, rollouts, number, joint.exposure[number])
             exposure = jnp.where(checked[:, None], exposure, jnp.uint32(0))
@@ -378,13 +379,14 @@ def _joint_outcomes(joint: PaddedDraws, left: jax.Array, rollouts: jax.Array) ->
 
 
 def _score(tables: PaddedTables, outcomes: jax.Array, asked: jax.Array) -> tuple[jax.Array, Score, jax.Array]:
-    """Rows int32 `[G, B]`, scores `[B]`, and the event words uint32 `[B, words]`.
+    """Rows int32 `[G, B]`, scores `[B]`, and event words uint32 `[B, words]`.
 
-    Rollouts that are not `asked` for get rows that are empty.
+    Rollouts out of range (not `asked`) get empty rows.
     """
     groups, members = tables.stride.shape
     by_group = outcomes.reshape(groups, members, -1)
     rows = tables.first_row[:, None] + (by_group * tables.stride[:, :, None]).sum(axis=1, dtype=jnp.int32)
+    # The barrier keeps XLA from recomputing the rows for every lookup.
     rows = jax.lax.optimization_barrier(jnp.where(asked, rows, tables.drop_row))
     union = unite(tables.bits, rows)
     own = [_at(table, rows) for table in (tables.visited, tables.survived, tables.time, tables.alive)]
@@ -394,15 +396,16 @@ def _score(tables: PaddedTables, outcomes: jax.Array, asked: jax.Array) -> tuple
 
 
 def _count(histogram: jax.Array, values: jax.Array, asked: jax.Array) -> jax.Array:
-    """The histogram, int32 `[bins + 1]`, with the values 0 .. bins - 1 that were asked for entered; others go last."""
+    """The histogram, int32 `[bins + 1]`, plus the values 0 .. bins - 1 of rollouts in range; others go last."""
+    # Masking by an extra bin keeps the shapes static.
     places = jnp.where(asked, values.astype(jnp.int32), histogram.shape[0] - 1)
     return histogram.at[places].add(1, mode="promise_in_bounds")
 
 
-def advance(tables: PaddedTables, sums: Sums, luck: Luck, ids: jax.Array, batch: int) -> Sums:
-    """`sums` with the rollouts from `ids[0]` to `ids[1]`, the last included, added batch after batch; ids uint32 `[2]`.
+def advance(tables: PaddedTables, sums: Sums, draws: Failures, ids: jax.Array, batch: int) -> Sums:
+    """`sums` plus rollouts `ids[0]` to `ids[1]` inclusive, batch after batch; ids uint32 `[2]`.
 
-    The first id of a batch is a multiple of the batch's size; rollouts of it that are not asked for are not counted.
+    The first id of a batch is a multiple of the batch size; ids of a batch that are out of range are not counted.
     """
     place = jnp.arange(batch, dtype=jnp.uint32)
     size = jnp.uint32(batch)
@@ -410,13 +413,14 @@ def advance(tables: PaddedTables, sums: Sums, luck: Luck, ids: jax.Array, batch:
     def add_batch(number: jax.Array, sums: Sums) -> Sums:
         rollouts = number * size + place
         asked = (rollouts >= ids[0]) & (rollouts <= ids[1])
-        rows, scores, union = _score(tables, _draw(tables, luck, rollouts), asked)
+        rows, scores, union = _score(tables, _draw(tables, draws, rollouts), asked)
         return _add(tables, sums, rows, scores, union, asked)
 
     return jax.lax.fori_loop(ids[0] // size, ids[1] // size + jnp.uint32(1), add_batch, sums)
 
 
 def _add(tables: PaddedTables, sums: Sums, rows: jax.Array, scores: Score, union: jax.Array, asked: jax.Array) -> Sums:
+    # Complete rollouts without survivors have another outcome, so they are counted separately.
     dead = (scores.alive == jnp.uint32(0)).astype(jnp.uint32)
     return Sums(
         rows=sums.rows.at[rows].add(1, mode="promise_in_bounds"),
@@ -428,9 +432,9 @@ def _add(tables: PaddedTables, sums: Sums, rows: jax.Array, scores: Score, union
     )
 
 
-def singles(tables: PaddedTables, luck: Luck, first: jax.Array, batch: int) -> Score:
+def singles(tables: PaddedTables, draws: Failures, first: jax.Array, batch: int) -> Score:
     """The score of every rollout of the batch that begins at id `first`, uint32 `[B]` each."""
-    outcomes = _draw(tables, luck, first + jnp.arange(batch, dtype=jnp.uint32))
+    outcomes = _draw(tables, draws, first + jnp.arange(batch, dtype=jnp.uint32))
     return _score(tables, outcomes, jnp.ones(batch, dtype=bool))[1]
 
 
@@ -441,13 +445,13 @@ def _at(table: jax.Array, places: jax.Array) -> jax.Array:
 class JaxOpenLoop:
     """The JAX engine for one plan and seed (see `planner.rollouts.open_loop.OpenLoopKernel`).
 
-    Ids are shared out among *streams*: one a GPU, or one a core of a CPU. Each runs the same program on its own ids,
-    with sums of its own; nothing is exchanged, so neither their number nor that of devices can change a count.
+    Ids are divided among *streams*: one for each GPU, or for each core of a CPU. Each stream runs the same program on
+    its own ids with its own sums. Streams exchange nothing, so counts do not depend on their number or on the devices.
     """
 
     @fixed_flags()
     def __init__(self, compiled: CompiledPlan, seed: int) -> None:
-        """Raises UsageError where JAX cannot run."""
+        """Raises UsageError if JAX cannot run."""
         keep_jax_programs()
         self.compiled, self.seed = compiled, seed
         self.padded = pad_tables(compiled, seed)
@@ -455,6 +459,7 @@ class JaxOpenLoop:
         devices = jax.local_devices()
         streams = max(len(devices), available_cores()) if devices[0].platform == "cpu" else len(devices)
         self._devices = [devices[stream % len(devices)] for stream in range(streams)]
+        # Thresholds of uncertain maps come from the host, one batch for each call.
         self._a_call = MOST_PER_CALL if self.padded.joint is None else self.batch
         self._tables = {device: jax.device_put(self.padded, device) for device in set(self._devices)}
 
@@ -482,10 +487,10 @@ class JaxOpenLoop:
 
     @fixed_flags()
     def results(self, start: int, count: int) -> RolloutResults:
-        """What each of those rollouts came to."""
+        """The results of each of these rollouts."""
         run, parts = jitted(singles, self.batch), []
         for first in range(start // self.batch * self.batch, start + count, self.batch):
-            scores = run(self._tables[self._devices[0]], self._luck(first), np.uint32(first))
+            scores = run(self._tables[self._devices[0]], self._failures(first), np.uint32(first))
             low, high = max(start - first, 0), min(start + count - first, self.batch)
             parts.append(jax.tree.map(lambda leaf, low=low, high=high: np.asarray(leaf)[low:high], scores))
         columns = {
@@ -495,24 +500,24 @@ class JaxOpenLoop:
         outcome = outcomes_of(columns["visited"], columns["alive"], self.compiled.accessible)
         return RolloutResults(start=start, **columns, outcome=outcome)
 
-    def _luck(self, first: int) -> Luck:
-        """Of the batch that begins with this id, where each has its own (NumPy)."""
+    def _failures(self, first: int) -> Failures:
+        """The random numbers of failures of the batch that begins with this id (NumPy)."""
         key, joint = np.array(key_of_luck(self.seed), dtype=np.uint32), self.compiled.tables.joint
         if joint is None:
-            return on_host(Luck, key=key, left=None)
+            return on_host(Failures, key=key, left=None)
         ids = np.arange(first, first + self.batch)
-        bears = self.compiled.plan.bearing.tolerances(self.seed, ids, self.compiled.robots)[:, joint.robot]
+        thresholds = self.compiled.plan.bearing.tolerances(self.seed, ids, self.compiled.robots)[:, joint.robot]
         empty = len(self.padded.counter) - len(joint.robot)
-        return on_host(Luck, key=key, left=two_words(np.pad(bears.T, ((0, empty), (0, 0)))))
+        return on_host(Failures, key=key, left=two_words(np.pad(thresholds.T, ((0, empty), (0, 0)))))
 
-    @fixed_flags()  # a thread has its own
+    @fixed_flags()  # flags are set for each thread
     def _part(self, stream: int, start: int, count: int) -> Sums:
         """One stream's sums, int64 on the host."""
         run, device, total = jitted(advance, self.batch), self._devices[stream], None
         for first in range(start // self._a_call * self._a_call, start + count, self._a_call):
             last = min(first + self._a_call, start + count) - 1
             ids = np.array([max(first, start), last], dtype=np.uint32)
-            given = jax.device_put((_no_sums(self.padded), self._luck(first), ids), device)
+            given = jax.device_put((_no_sums(self.padded), self._failures(first), ids), device)
             sums = run(self._tables[device], *given)
             done = jax.tree.map(lambda leaf: np.asarray(leaf).astype(np.int64), sums)
             total = done if total is None else jax.tree.map(np.add, total, done)
@@ -520,7 +525,7 @@ class JaxOpenLoop:
 
 
 def batch_size(tables: PaddedTables) -> int:
-    """Rollouts a batch: as many as keep what passes between the stages in a core's second cache."""
+    """Rollouts in a batch: as many as keep the data between stages in a core's second-level cache."""
     words = 2 * (len(tables.counter) + len(tables.first_row)) + tables.bits.shape[1]
     words += 0 if tables.joint is None else len(tables.joint.spent) // 4
     return min(MOST_BATCH, max(LEAST_BATCH, 1 << (BATCH_WORDS // (words + 8)).bit_length() - 1))
@@ -528,8 +533,9 @@ def batch_size(tables: PaddedTables) -> int:
 
 @cache
 def jitted(function: Callable, batch: int) -> Callable:
-    """The compiled form of `advance` or `singles`, one per batch: plans of one bucket share it."""
+    """The compiled form of `advance` or `singles`, one for each batch size: plans of equal padded sizes share it."""
     options = CPU_OPTIONS if jax.default_backend() == "cpu" else None
+    # Donated sums are updated in place.
     donated = ("sums",) if function is advance else ()
     return jax.jit(partial(function, batch=batch), donate_argnames=donated, compiler_options=options)
 

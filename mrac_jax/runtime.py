@@ -1,4 +1,4 @@
-"""Whether JAX has an accelerator here. JAX is not imported to find out that there is nothing to find."""
+"""Detection of JAX's accelerator, without importing JAX if there can be none; and the cache of compiled programs."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from planner.simulator.jit import COMPILES_JAX, cache_folder, open_folder
 
 LOG = logging.getLogger("mrac_jax")
 PLUGINS = ("jax_plugins", "libtpu")
-"""Packages that bring JAX an accelerator."""
+"""Packages that add an accelerator to JAX."""
 CUDA = ("xla_cuda", "cuda", "jax_cuda")
-"""What the names of plug-ins for NVIDIA's devices begin with."""
+"""Prefixes of plug-ins for NVIDIA's devices."""
 DEVICES = ("nvidia*", "nvhost*", "nvgpu*", "dxg")
-"""Files in /dev that Linux has where there is such a device; the last is that of WSL."""
+"""Files in /dev for such devices on Linux; the last is for WSL."""
 
 
 @cache
 def accelerator() -> str | None:
-    """The platform of JAX's accelerator ("gpu", "tpu"), or None: JAX is not even imported where there can be none.
+    """The platform of JAX's accelerator ("gpu", "tpu"), or None; JAX is not imported if there can be no accelerator.
 
-    One that JAX was told to use, but that cannot be used, is named in a note (log).
+    A log note names an accelerator that JAX is configured to use, but that is not usable.
     """
     platforms = _platforms()
     if platforms.split(",")[0] == "cpu":
@@ -36,26 +36,26 @@ def accelerator() -> str | None:
     try:
         if not _may_be_one():
             if platforms:
-                raise RuntimeError("there is no plug-in of JAX with a device here")
+                raise RuntimeError("no JAX plug-in has a device")
             return None
         import jax
 
         platform = jax.default_backend()
-    except Exception as error:  # JAX raises nearly anything: an AssertionError where CUDA has no device
+    except Exception as error:  # JAX may raise any exception, as an AssertionError if CUDA has no device
         LOG.warning("%s: the engine is Numba", why_not(error))
         return None
     return None if platform == "cpu" else platform
 
 
 def _platforms() -> str:
-    """The platforms that JAX is told to use, "cuda,cpu", or ""."""
+    """The platforms that JAX is configured to use, "cuda,cpu", or ""."""
     jax = sys.modules.get("jax")
-    told = os.environ.get("JAX_PLATFORMS") if jax is None else jax.config.jax_platforms
-    return told or ""
+    platforms = os.environ.get("JAX_PLATFORMS") if jax is None else jax.config.jax_platforms
+    return platforms or ""
 
 
 def _may_be_one() -> bool:
-    """Whether a plug-in is installed, and for those of NVIDIA's devices alone, such a device is there."""
+    """Whether a plug-in is installed; for NVIDIA plug-ins, whether there is also a device."""
     names = {point.name for point in entry_points(group="jax_plugins")}
     for package in PLUGINS:
         spec = importlib.util.find_spec(package)
@@ -67,18 +67,18 @@ def _may_be_one() -> bool:
     return bool(names)
 
 
-# JAX's compiled programs are kept in the user's cache folder between runs, as Numba's (`planner.simulator.jit`).
+# JAX's compiled programs are cached in the user's cache folder, like Numba's (`planner.simulator.jit`).
 
 BEGINS = "/jax/core/compile/jaxpr_to_mlir_module_duration"
 ENDS = "/jax/core/compile/backend_compile_duration"
-"""What JAX reports just before it looks for a compiled program or makes one, and afterwards."""
+"""Events that JAX reports before it looks up or compiles a program, and afterwards."""
 
 
 def keep_jax_programs() -> None:
-    """Let JAX keep compiled programs in the user's cache folder, unless caching is off or the user chose a folder.
+    """Let JAX cache compiled programs in the user's cache folder, unless caching is off or the user set a folder.
 
-    JAX writes its own files in place and reads them unchecked (a damaged one can end the process), so it is given a
-    cache of checked files, through an interface of its inside. A JAX without that inside keeps nothing.
+    JAX's own cache writes files in place and reads them without a check, so that a damaged file can end the process. It
+    therefore gets a cache of checked files, through an internal interface. A JAX without that interface caches nothing.
     """
     import jax
 
@@ -95,7 +95,7 @@ def keep_jax_programs() -> None:
         return
 
     class Programs(CacheInterface):
-        """JAX's programs by its keys, which hold all that a program depends on."""
+        """Programs by JAX's keys, which contain all that a program depends on."""
 
         def __init__(self, folder: Any) -> None:
             self._path, self._folder = folder.path, folder
@@ -113,7 +113,7 @@ def keep_jax_programs() -> None:
 
 @cache
 def _report_compilations() -> None:
-    """Report what JAX compiles as the event COMPILES_JAX, from now on."""
+    """From now on, report JAX's compilations as the event COMPILES_JAX."""
     from jax import monitoring
     from numba.core.event import end_event, start_event
 

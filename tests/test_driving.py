@@ -538,7 +538,7 @@ def test_what_if_is_on_common_luck() -> None:
     other = mission.what_if(policy="per_cell", robot_value=8.0, rollouts=1024)
     assert other.lost.mean <= 0 and other.to_json()["difference"]["lost"]["mean"] == other.lost.mean
     for more in ({"without": [0]}, {"policy": "per_cell"}):
-        with pytest.raises(UsageError, match="called off"):
+        with pytest.raises(UsageError, match="both call_off and changes"):
             mission.what_if(call_off=True, **more)
     same = mission.what_if(rollouts=256)
     assert same.covered.mean == same.lost.mean == 0

@@ -182,7 +182,7 @@ def test_actions_of_another_team_are_refused() -> None:
     with pytest.raises(mrac.InputError, match="expected a dict from names of agents, 'agent_0' to 'agent_2'"):
         parallel.step([0, 0, 0])
     for given, missing in (({}, "'agent_0', 'agent_1', 'agent_2'"), ({"agent_1": 4}, "'agent_0', 'agent_2'")):
-        with pytest.raises(mrac.InputError, match=f"no action of {missing}; expected a dict"):
+        with pytest.raises(mrac.InputError, match=f"no action for {missing}; expected a dict"):
             parallel.step(given)
     many = mrac.env(world(), ROBOTS, face="vector", num_envs=2)
     many.reset(seed=0)
@@ -201,7 +201,7 @@ def test_jax_s_face_checks_what_it_knows() -> None:
         for wrong in (jnp.int32(5), 9, -1, 2.7, jnp.float32(jnp.nan)):
             with pytest.raises(mrac.InputError, match=r"action of agent_1: .*; expected a whole number, 0 to 4"):
                 step(key, state, right | {"agent_1": wrong})
-        with pytest.raises(mrac.InputError, match="no action of 'agent_2'"):
+        with pytest.raises(mrac.InputError, match="no action for 'agent_2'"):
             step(key, state, {"agent_0": 0, "agent_1": 0})
     with pytest.raises(mrac.InputError, match="action of agent_1: float32 of shape"):
         jax.jit(env.step)(key, state, right | {"agent_1": jnp.float32(1)})

@@ -316,8 +316,8 @@ def test_what_is_not_known_exactly_is_left_out_with_a_note(
         ("o.csv", ""),
     ):
         assert run(["export", "m.yaml", "--out", name]) == 0
-        said = [line for line in capsys.readouterr().err.splitlines() if "left out where" in line]
-        assert [line.split(" left out")[0] for line in said] == [left] * bool(left)
+        said = [line for line in capsys.readouterr().err.splitlines() if "omitted where" in line]
+        assert [line.split(" omitted")[0] for line in said] == [left] * bool(left)
         assert name == "o.tif" or "nan" not in Path(name).read_text().lower()
     facts = [feature["properties"] for feature in json.loads(Path("o.geojson").read_text())["features"]]
     assert {of.get("covered", of.get("chance_of_loss")) for of in facts} == {None} and facts[0]["threat"] >= 0

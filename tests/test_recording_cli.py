@@ -47,7 +47,7 @@ TYPED = "threats: [{raster: p.npy, type: x}]\nrobots: {count: 2, matrix: {a: {x:
         (TYPED, {"threat 1 %", "threat 20 %"}),
         (
             "moving_threats: [{walk: 0.5, h: 0.3, count: 4}]\nrobots: {count: 2}",
-            {"threat 10 %, or a mover", "by a mover"},
+            {"threat 10 %, or a moving threat", "by a moving threat"},
         ),
     ],
 )
@@ -346,7 +346,7 @@ def test_ctrl_c_while_recording_leaves_what_is_done(
     beside = tmp_path / "run.interrupted.mcap"
     assert (made["partial"], made["file"], [row["rollout"] for row in made["rollouts"]]) == (True, str(beside), [0, 1])
     assert made["settings"]["ids"] == [0, 1, 2]
-    assert f"{out} was there before and stays" in err
+    assert f"{out} existed before and is kept" in err
     assert (tmp_path / "run.interrupted.layout.json").exists()
     assert out.read_bytes() == before
 

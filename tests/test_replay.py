@@ -165,9 +165,9 @@ MESSAGES: dict[str, tuple[Callable[[], Change], str]] = {
     "event's kind": (lambda: nth(EVENT, 0, field(schemas.Event, "kind", lambda v: (v + 1) % 5)), "replay has event"),
     "event's area": (lambda: nth(EVENT, 0, field(schemas.Event, "area", lambda v: v + 1)), "replay has event"),
     "event's step": (lambda: nth(EVENT, 0, field(schemas.Event, "step", lambda v: v + 1)), "replay has event"),
-    "event that means nothing": (lambda: nth(EVENT, 0, field(schemas.Event, "other", lambda v: 10**6)), "event"),
-    "event that is none": (lambda: nth(EVENT, 0, lambda data: b"\xff\xff"), "means nothing"),
-    "step that is none": (lambda: nth("/rollout/step", 1, lambda data: b"\xff\xff"), "cannot be read"),
+    "event with invalid values": (lambda: nth(EVENT, 0, field(schemas.Event, "other", lambda v: 10**6)), "event"),
+    "event that is none": (lambda: nth(EVENT, 0, lambda data: b"\xff\xff"), "with invalid values"),
+    "step that is none": (lambda: nth("/rollout/step", 1, lambda data: b"\xff\xff"), "an invalid message"),
     "event left out": (lambda: nth(EVENT, 1, lambda data: None), "recorded"),
     "event twice": (lambda: doubled(EVENT), "recorded"),
     "event out of turn": (lambda: swapped(EVENT), "recorded"),
@@ -266,7 +266,7 @@ def test_a_file_of_another_format_version_is_compared_by_its_data(good: Path, tm
     rewrite(good, old, attachments={contents.SETTINGS: settings_with(good, version=1)}, metadata=say, change=renamed)
     found = replay(old, everything=True)
     assert (found.difference, found.drawn, found.rollouts, found.settings.version) == ("", False, 2, 1)
-    assert "made by another version" in replayed(found).findings[0]
+    assert "written by another version" in replayed(found).findings[0]
     assert "rollouts identical, drawings not compared" in replayed(found).findings[0]
     assert inspect(old).settings == found.settings
 
@@ -377,7 +377,7 @@ def test_changed_formulas_metadata_schemas_and_topics_are_found(good: Path, tmp_
     rewrite(good, bad, metadata=lambda items: items | {"robots": "4"})
     assert "metadata: robots is '4'" in replay(bad).difference
     rewrite(good, bad, schema=lambda s: replace(s, name="mrac.Other") if s.name == "mrac.Stats" else s)
-    assert "/stats: another schema" in replay(bad).difference
+    assert "/stats: the schema is not" in replay(bad).difference
 
 
 def test_another_versions_recording_is_compared_by_its_data(good: Path, tmp_path: Path) -> None:

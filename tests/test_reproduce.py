@@ -286,7 +286,7 @@ def test_columns_of_a_map_are_those_of_its_runs() -> None:
     facts |= {"robots": 4, "longest": 90, "ideal_team": None}
     run = Run("key", {}, facts, ((0, 500),), sums_of(tally))
     columns, runs = columns_of(run, tally, "closed", 19), runs_of(tally, 19)
-    assert columns["beside", "closed", "visited_free"][0] == pytest.approx(columns["run", "closed", "visited_free"])
+    assert columns["controls", "closed", "visited_free"][0] == pytest.approx(columns["run", "closed", "visited_free"])
     assert columns["run", "closed", "visited_free"] == pytest.approx(results.visited.mean() / 19)
     assert columns["square", "closed", "survived"] == pytest.approx(((results.survived / 19) ** 2).mean())
     assert columns["run", "closed", "time"] == pytest.approx(results.time.mean())
@@ -314,4 +314,4 @@ def test_intervals_over_maps_are_student_s_and_wider_for_a_long_tail() -> None:
 def test_a_finding_names_the_worst() -> None:
     ups = [point(0.5, 200, 1), point(0.6, 200, 2), point(0.55, 200, 4)]
     found: list[Finding] = [f for f in findings(ups) if "coverage rises" in f.statement]
-    assert "1 of 2 the other way; worst k = 2 to 4: by -5.0 +- 0.0 points" in found[0].found
+    assert "1 of 2 in the other direction; worst k = 2 to 4: by -5.0 +- 0.0 points" in found[0].found

@@ -180,9 +180,9 @@ def test_nothing_worse_is_recommended() -> None:
     world = World.create(ISLANDS, starts=best)
     answer = mrac.starts(world, 3, candidates=[[0, 0], [2, 0]], rollouts=200)
     assert answer.stay and answer.starts.tolist() == best and answer.to_json()["stay"] is True
-    assert starts_headline(answer).startswith("Stay: nothing found is surely better than the starts of the input: ")
+    assert starts_headline(answer).startswith("Keep the starts of the input: no place found is significantly better; ")
     depot = mrac.starts(world, 3, depot=True, candidates=[[0, 0], [2, 0]], rollouts=200)
-    assert depot.stay and depot.chosen.is_depot and "stay, unless it has to be a depot" in starts_headline(depot)
+    assert depot.stay and depot.chosen.is_depot and "keep those unless a depot is needed" in starts_headline(depot)
     assert depot.gain is not None and depot.gain.ci95[1] < 0
 
 
@@ -190,7 +190,7 @@ def test_a_team_that_stands_elsewhere_is_not_compared() -> None:
     parted = World.create([[0.0, 0.2, 0.0, np.nan, 0.0, 0.2, 0.0, 0.0]], starts=[[0, 0]])
     answer = mrac.starts(parted, 1, candidates=[[0, 4], [0, 7]], rollouts=50)
     assert answer.here is None and not answer.stay and answer.gain is None
-    assert any("it is not compared" in note for note in answer.notes)
+    assert any("are not compared" in note for note in answer.notes)
 
 
 # The command.
@@ -259,7 +259,7 @@ def test_a_bare_map_becomes_a_scenario(capsys: pytest.CaptureFixture[str], world
     [
         ("list.csv", [[0, 0], [2, 2]], "[2, 2] is an obstacle (1 such of 2)"),
         ("list.csv", [[0, 0], [6, 0]], "[6, 0] lies off the map; expected row 0..5 and col 0..7"),
-        ("list.csv", [[0.5, 0]], "holds numbers that are no cells"),
+        ("list.csv", [[0.5, 0]], "holds numbers that are not cells"),
         ("mask.npy", np.ones((3, 3)), "has shape (3, 3); expected a mask of the map, (6, 8)"),
         ("mask.npy", np.zeros((6, 8)), "names no cell"),
         ("mask.npy", np.ones((6, 8)), "is an obstacle (7 such of 48)"),
@@ -468,7 +468,7 @@ def test_sources_are_cleared_one_by_one_and_what_overlaps_stays(tmp_path: Path) 
     names = ["wide", "inner", "line 2 of points.csv"]
     assert [one.threat.name for one in answer.options] == names and "beyond" in world.sources.names  # type: ignore[union-attr]
     assert [one.threat.p for one in answer.options] == pytest.approx([0.2, 0.5, 0.3])
-    assert " the other one (" in answer.turns[1].certainty("worth more")
+    assert " the other one (" in answer.turns[1].certainty("better to remove")
     wide = answer.options[0].threat
     assert len(wide.cells) == 12 and wide.cleared(world).threat[3, 3] == np.float32(0.5)
     assert answer.options[1].threat.cleared(world).threat[3, 3] == np.float32(0.2)
@@ -552,7 +552,7 @@ def test_the_answer_prints_and_saves_itself_clear(small: Clearing, tmp_path: Pat
     assert files == {"index.html", "clear.png", "clear.txt", "risk_paid.png", "clear.json"}
     page = Reader((tmp_path / "out" / "index.html").read_text()).text
     assert clear_headline(small) in page and all(said in page for said in clear_findings(small))
-    assert "Where risk is paid" in page and 2 <= len(repr(small).splitlines()) <= 24
+    assert "Marginal risk" in page and 2 <= len(repr(small).splitlines()) <= 24
 
 
 # `threats --add`: the worst places against brute force, `clear` as its way back, hidden truths, wrong input.
@@ -675,7 +675,7 @@ def test_of_large_maps_some_cells_are_looked_at_and_fewer_planned_for(monkeypatc
     few = mrac.threats(world, add=1, p=P)
     assert len(few.turn.options) == 12 and len(few.turn.simulated) == 8
     assert all(one.screen is not None for one in few.turn.options)
-    assert [*few.notes] == ["of 27 cells, those 12 where more danger costs the plan's paths most"]
+    assert [*few.notes] == ["of 27 cells, the 12 where added threat costs the plan's paths most"]
     assert left(few)[0] == pytest.approx(left(best)[0])  # here they hold the worst
 
 

@@ -448,7 +448,7 @@ def test_no_team_is_an_answer(capsys: pytest.CaptureFixture[str]) -> None:
     assert [point["verdict"] for point in found["curve"]] == ["impossible"] * 3
     assert found["curve"][0]["coverage"] is None
     assert run(["size", WORLD, "--target", "0.95", "--most", "3"]) == 0
-    assert "whatever the strategy" in capsys.readouterr().out.splitlines()[0]
+    assert "whatever the policy" in capsys.readouterr().out.splitlines()[0]
 
 
 def test_out_writes_picture_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -711,8 +711,8 @@ def test_the_pick_is_the_best_that_is_sure_to_keep_the_limit_on_other_rollouts()
     assert near.coverage.mean > picked.coverage.mean and near.losses.mean > picked.losses.mean
     sure = sorted((p for p in answer.points if p.most <= limit), key=lambda p: -p.coverage.mean)
     assert sure.index(picked) == answer.tried - 1
-    assert front_headline(answer).endswith(f"; asked for was at most {limit:g} of 2 robots lost.")
-    assert f"The limit is kept with confidence 0.95: on average {again.most:.2f} robots or fewer are lost." in [
+    assert front_headline(answer).endswith(f"; the limit is at most {limit:g} of 2 robots lost.")
+    assert f"The goal is met with confidence 0.95: on average {again.most:.2f} robots or fewer are lost." in [
         *pick_lines(answer)
     ]
 
@@ -736,9 +736,9 @@ def test_the_chance_of_error_is_shared_among_tries(monkeypatch: pytest.MonkeyPat
         assert asked_for == [0.05 / 2**n for n in range(1, len(asked_for) + 1)] and sum(asked_for) < 0.05
         if tried is None:
             assert answer.pick is None and len(asked_for) == 6 == answer.tried
-            assert front_headline(answer).startswith("No setting is sure to have at most 1.5 of 2 robots lost")
+            assert "with confidence 0.95: at most 1.5 of 2 robots lost" in front_headline(answer)
         else:
-            assert answer.tried == tried and "It is the third that was tried" in " ".join(pick_lines(answer))
+            assert answer.tried == tried and "It is the third setting tried" in " ".join(pick_lines(answer))
 
 
 def test_without_a_goal_the_headline_is_of_fresh_rollouts(capsys: pytest.CaptureFixture[str], world_file: str) -> None:
@@ -759,7 +759,7 @@ def test_a_goal_that_nothing_meets_is_an_answer(
     words = ["front", world_file, "--rollouts", "50", "--robot-values", "", "--risk-caps", "", "--target", "1"]
     assert run([*words, "--plan-out", str(tmp_path / "plan.json")]) == 0
     out = capsys.readouterr().out
-    assert out.startswith("No setting has 100 % or more covered on average: the most is")
+    assert out.startswith("No setting meets the target, 100 % or more covered on average: the most is")
     assert not (tmp_path / "plan.json").exists()
 
 
@@ -770,7 +770,7 @@ def test_a_goal_that_nothing_meets_is_an_answer(
         (["--losses", "-1"], "--losses -1; expected a number of robots lost"),
         (["--target", "1.5"], "--target 1.5; expected a fraction"),
         (["--target", "90"], "did you mean 0.9?"),
-        (["--losses", "99"], "--losses 99; expected at most 2, the robots that there are to lose"),
+        (["--losses", "99"], "--losses 99; expected at most 2, the number of robots"),
         (["--policy", "per_cell"], "Unknown option: --policy; it is an option of evaluate, "),
         (
             ["--robot-value", "5"],
@@ -794,8 +794,8 @@ def test_without_danger_every_run_is_the_same() -> None:
     assert answer.picked is not None and answer.picked.coverage.mean >= 0.5
     best, kept, *_ = pick_lines(answer)
     assert ". Exact expectation: 100 % covered" in best or answer.picked.setting.deadline
-    assert kept == "The limit is kept: these figures are exact."
-    assert front_headline(answer).endswith("and lose no robot, on average (exact); asked for was 50 % or more covered.")
+    assert kept == "The goal is met: these figures are exact."
+    assert front_headline(answer).endswith("and lose no robot, on average (exact); the target is 50 % or more covered.")
 
 
 def test_an_interruption_leaves_what_was_done() -> None:
@@ -814,7 +814,7 @@ def test_the_front_prints_and_saves_itself(small: Front, tmp_path: Path) -> None
         front_report(small), "", {}, ()
     )
     *curves, mark = _front_chart(small, "time").series
-    assert small.picked is not None and (mark.name, mark.x) == ("the pick", [small.picked.time.mean])
+    assert small.picked is not None and (mark.name, mark.x) == ("selected", [small.picked.time.mean])
     for curve in curves:  # through the settings as they rise, whatever they take
         of = [point for point in small.points if TITLES[point.setting.family] == curve.name]
         cheap = min(one.coverage.mean for one, is_cheap in zip(small.points, small.cheap, strict=True) if is_cheap)

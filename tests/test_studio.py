@@ -169,14 +169,14 @@ def test_what_robots_do_not_know_costs_what_evaluate_says(
     status, lines = served.post("/answer", board)
     assert status == 200 and {"sure", "done"} <= {line["stage"] for line in lines} <= {"closed", "sure", "done"}
     figures = {name: (value, note) for value, name, note in lines[-1]["figures"]}
-    assert "if nobody took over (open loop)" not in figures and lines[-1]["paths"] is None
+    assert "covered in the open loop" not in figures and lines[-1]["paths"] is None
     _, (saved,) = served.post("/save", board | {"rollouts": lines[-1]["rollouts"]})
     assert run([*shlex.split(saved["command"])[1:], "--json", "--no-advice"]) == 0
     answer = json.loads(capfd.readouterr().out)
     mean = lines[-1]["headline"].partition("robots cover ")[2].partition(" %")[0]
     assert mean == f"{100 * answer['coverage']['visited']['mean']:.{len(mean.partition('.')[2])}f}"
     price = answer["knowledge"]["price_of_not_knowing"]
-    said, _, wide = figures["not knowing costs"][0].removesuffix(" (95 %)").partition(" points ± ")
+    said, _, wide = figures["cost of the unknown map"][0].removesuffix(" (95 %)").partition(" points ± ")
     assert price["ci95"][0] > 0 and abs(float(said) - 100 * price["mean"]) < 2 * float(wide) < 2
     world = load_input(served.studio.out)
     true = first.world.threat
@@ -186,7 +186,7 @@ def test_what_robots_do_not_know_costs_what_evaluate_says(
     assert (again.believed, again.sense.range) == (pytest.approx(0.1), 1)
     assert np.array_equal(again.unknown, unknown & ~(true == np.float32(0.1)))
     assert read_sketch(json.dumps(again.to_json()).encode(), again)[0].world.luck_sha256 == world.luck_sha256
-    with pytest.raises(InputError, match="believe several things"):
+    with pytest.raises(InputError, match="the prior map has several values"):
         Sketch.of(with_truth(first.world, np.where(np.isnan(true), np.nan, 0.5), 1), 3, Settings())
     with pytest.raises(InputError, match="wrong about an obstacle"):
         read_sketch(json.dumps(board | {"sensor_range": 0}).encode(), first)

@@ -413,11 +413,11 @@ BAD = {
     "sweep: {density: [0.5]}": "sweep.density.*above 1",
     "sweep: {ratio: [0.2, 0.9]}": "sweep.ratio.*360 threats",
     "base: {input: none.yaml}": "no such file",
-    "base: {input: 'example:paper'}\nmaps: 3": "no maps, since the input is one",
+    "base: {input: 'example:paper'}\nmaps: 3": "no maps, since the input is a single map",
     "base: {input: 'example:paper'}\nsweep: {size: [3x3]}": "size is for the paper's",
     "base: {input: 'example:paper'}\nsweep: {kind: [scattered]}": "no generated threats",
     "base: {unknown: free}": "unknown key `base.unknown`",
-    "base: {map: floor.npz}": "name that: `input: FILE`",
+    "base: {map: floor.npz}": "use `input: FILE`",
     "base: {seed: 3}": "unknown key `base.seed`",
     "base: {loop: open}\nsweep: {threat_checks: [first_visit]}": "needs the closed loop",
     "sweep: {'threats[0].scale': [1]}": "an input in `base`",
@@ -517,7 +517,7 @@ def test_results_bad_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         ("results", str(store), "--csv", str(tmp_path / "no" / "a.csv")): "no folder",
         ("results", str(store), "--merge", str(store)): "the store itself",
         ("results", str(store), "--figure", "cells"): "visited or survived",
-        ("sweep", spec, "--store", spec): "is no store",
+        ("sweep", spec, "--store", spec): "is not a store",
         ("sweep", spec, "--precision", "2", "--store", str(empty)): "--precision 2",
         ("sweep", spec, "--scheduler", "tcp://a:1", "--processes", "2", "--store", str(empty)): "one of them",
     }  # fmt: skip
@@ -618,7 +618,7 @@ def test_one_map_is_one_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
         assert mean.half_width == pytest.approx((first.half_width + second.half_width) / 2)
     assert run(["results", str(path), "--by", "robots", "--plot", str(tmp_path / "p.png")]) == 0
     said = capsys.readouterr()
-    assert "Each row: 1 map, 400 rollouts." in said.out and "luck of the rollouts on that map" in said.out
+    assert "Each row: 1 map, 400 rollouts." in said.out and "error over rollouts on that map" in said.out
     assert "pooled over risk: log, paper" in said.out
     answer = answer_of(capsys, "results", str(path), "--by", "robots")
     assert answer["pooled"] == ["risk"] and answer["runs"] == 4

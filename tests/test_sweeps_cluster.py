@@ -81,7 +81,7 @@ def test_a_scheduler_that_asks_for_a_key(tmp_path: Path) -> None:
         with dask.config.set(key_files(cert, cert, key)), Memory() as store:
             run_cases(jobs_of(maps=2), store, scheduler=address)
             assert contents(store) == swept(jobs_of(maps=2), processes=1)
-        with Memory() as store, pytest.raises(UsageError, match="no scheduler answers"):
+        with Memory() as store, pytest.raises(UsageError, match="no scheduler responds"):
             run_cases(jobs_of(), store, scheduler=address.replace("tls", "tcp"))
     finally:
         end_cluster(running)

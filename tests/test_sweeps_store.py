@@ -149,7 +149,7 @@ def test_other_counts_of_the_same_rollouts_are_an_error(store: Store) -> None:
     store.add([result])
     with pytest.raises(StoreError, match="other counts"):
         store.add([wrong])
-    with pytest.raises(StoreError, match="planned otherwise"):
+    with pytest.raises(StoreError, match="has another plan"):
         store.add([other_plan])
     assert store.tally(key_of()) == tally
 
@@ -189,7 +189,7 @@ def test_bad_files(tmp_path: Path) -> None:
     connection.close()
     empty = tmp_path / "empty.db"
     empty.touch()
-    found = {text: "is no store", other: "another program", newer: "newer mrac-jax", tmp_path: "is a folder"}
+    found = {text: "is not a store", other: "another program", newer: "newer mrac-jax", tmp_path: "is a folder"}
     for path, words in found.items():
         before = path.read_bytes() if path.is_file() else b""
         for write in (True, False):
@@ -294,7 +294,7 @@ def test_no_room_on_the_disk(tmp_path: Path) -> None:
         pages = store._connection.execute("PRAGMA page_count").fetchone()[0]
         store._connection.execute(f"PRAGMA max_page_count = {pages}")
         more = [results_of((0, 20), model=RolloutChoices(seed=seed))[0] for seed in range(20)]
-        with pytest.raises(StoreError, match=r"disk is full.*make room"):
+        with pytest.raises(StoreError, match=r"disk is full.*free disk space"):
             store.add(more)
         assert len(store) == 1 and store.held(key_of()) == ((0, 20),)
         store._connection.execute("PRAGMA max_page_count = 100000")
@@ -535,7 +535,7 @@ def test_a_hidden_block_is_said_and_saved(whole: Path, tmp_path: Path, capsys: p
     refused(capsys, "results", str(bad))
     assert run(["results", str(new), "--merge", str(bad)]) == 0
     said = capsys.readouterr()
-    assert "6 runs taken over" in said.err and "0 runs and 0 blocks that it names cannot be read" in said.err
+    assert "6 runs taken over" in said.err and "0 runs and 0 blocks cannot be read" in said.err
     with Store.open(whole, write=False) as right, Store.open(new, write=False) as saved:
         assert tallies(saved) == tallies(right)
 

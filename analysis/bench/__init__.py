@@ -1,1 +1,1 @@
-"""Benchmarks: programs that print ratios measured side by side."""
+"""Benchmarks: rates of engines, environments and planning, measured side by side."""

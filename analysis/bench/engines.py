@@ -1,8 +1,8 @@
-"""How fast the engines roll out: `python -m analysis.bench.engines [ENGINE ...]`. Full tallies, side by side in a run.
+"""Speed of the engines: `python -m analysis.bench.engines [ENGINE ...]`. Full tallies, measured side by side.
 
-Both loops of every world: the naive JAX program (open loop), the simulator as Python (closed loop), Numba, JAX on the
-device that it has; only those that are named, if any are. Before anything is timed, the engines' tallies must be equal
-count for count. A row is printed as soon as it is there: medians, with the least and the most.
+For both loops of every world: a naive JAX program (open loop), the simulator as Python (closed loop), Numba, and JAX on
+its device; with arguments only the named ones. Before timing, the engines' tallies must be equal. Rows are printed as
+they are measured: median, least and most.
 """
 
 from __future__ import annotations
@@ -35,22 +35,22 @@ from planner.world.levels import place_starts
 from planner.world.scenario import load_input
 from planner.world.world import World
 
-# How the benchmarks time engines: repetitions take turns, so that a busy machine slows all of them alike.
+# Timing: repetitions of all engines alternate, so that a busy machine slows all of them equally.
 
 REPETITIONS = 5
 SECONDS = 0.25
-"""About so long does one repetition of one engine take, at most MOST_TIMES as many rollouts as the one before."""
+"""Approximate duration of one repetition; each trial has at most MOST_TIMES as many rollouts as the one before."""
 MOST_TIMES = 16
 SLOW = 8.0
-"""A repetition that takes so many times as long is the only one."""
+"""An engine whose repetition takes this many times as long is run once."""
 
 Run = Callable[[int], int]
-"""Rolls out so many rollouts, or a few more; returns how many."""
+"""Runs the given number of rollouts, or a few more; returns the number."""
 
 
 @dataclass(eq=False)
 class Contender:
-    """One engine on one plan: `make()` sets it up: `run`, how many rollouts are worth a call, the tally of a few."""
+    """One engine on one plan: `make()` returns `run`, the least useful number of rollouts, and a tally to compare."""
 
     name: str
     make: Callable[[], tuple[Run, int, Tally | None]]
@@ -59,12 +59,12 @@ class Contender:
 
     @property
     def rate(self) -> float:
-        """Median rollouts a second."""
+        """Median rollouts per second."""
         return statistics.median(self.rates)
 
 
 def engine_contender(name: str, make: Callable[[], Engine], checked: int) -> Contender:
-    """An engine that makes full tallies, `checked`: first that of so many rollouts."""
+    """An engine with full tallies; `checked`: rollouts of the tally to compare."""
 
     def ready() -> tuple[Run, int, Tally]:
         engine = make()
@@ -74,15 +74,16 @@ def engine_contender(name: str, make: Callable[[], Engine], checked: int) -> Con
 
 
 def race(found: Iterable[Contender]) -> float:
-    """Fill in the rates: set each up, find how many rollouts take about so long, then let them take turns.
+    """Measure the rates: set up each contender, find the number of rollouts for one repetition, then alternate.
 
-    Returns the moves of a rollout, by their first tallies. Raises MracError if these differ.
+    Returns the moves of a rollout, from the first tally. Raises MracError if the tallies differ.
     """
     turns, expected = [], None
     for one in found:
         clock = time.perf_counter()
         run, count, tally = one.make()
         one.compile_seconds = time.perf_counter() - clock
+        # Without equal tallies the rates would compare different work.
         expected = expected or tally
         if tally is not None and tally != expected:
             raise MracError(f"{one.name} counts differently")
@@ -113,7 +114,7 @@ def planned(kind: Kind, side: int, ratio: float, robots: int) -> tuple[World, Pl
 
 
 def print_row(console: Console, name: str, cells: Iterable[str]) -> None:
-    """A row of a table that is printed while it is made."""
+    """Print a row of a table."""
     console.print(f"{name:24}{''.join(f'{cell:>19}' for cell in cells)}", soft_wrap=True)
 
 
@@ -122,9 +123,9 @@ CASES: tuple[tuple[int, Kind, float, int], ...] = (
     (20, "contiguous", 0.05, 8), (20, "scattered", 0.05, 8), (20, "contiguous", 0.25, 8), (20, "scattered", 0.25, 8),
     (64, "contiguous", 0.05, 8), (64, "contiguous", 0.25, 8), (256, "contiguous", 0.25, 64),
 )  # fmt: skip
-"""Side, kind, share of dangerous cells, robots."""
+"""Side, kind, share of cells with a threat, robots."""
 LARGE = 2**14
-"""Cells above which the compiled engines alone are timed, and the open loop alone."""
+"""Cells above which only the compiled engines and the open loop are timed."""
 LOOPS = ("open", "closed")
 SEED, CHECKED, NAIVE_BATCH = 1, 4096 + 5, 2048
 ENGINES: tuple[tuple[str, EngineName, int | None], ...] = (
@@ -134,7 +135,7 @@ COLUMNS = ("engine", "rollouts/s", "least", "most", "agent-moves/s", "first call
 
 
 def cases() -> Iterator[tuple[str, World, Plan]]:
-    """The worlds, and their plans."""
+    """The worlds and their plans."""
     for side, kind, ratio, robots in CASES:
         yield f"{side}x{side} {kind}, {ratio:.0%}", *planned(kind, side, ratio, robots)
     terrain = load_input(TERRAIN)
@@ -142,7 +143,7 @@ def cases() -> Iterator[tuple[str, World, Plan]]:
 
 
 def contenders(world: World, plan: Plan, loop: str) -> Iterator[Contender]:
-    """All of them on one world."""
+    """All contenders on one world."""
     make: Callable[[EngineName, int | None], Engine]
     if loop == "open":
         compiled = compile_plan(plan, world)
@@ -165,7 +166,7 @@ def as_python(world: World, plan: Plan) -> Contender:
 
 
 def naive(paths: list[NDArray[np.int64]], threat: NDArray[np.float32]) -> Contender:
-    """What one writes first; `jax.random` is used here and nowhere else."""
+    """A straightforward JAX program; only this one uses `jax.random`."""
     sums = naive_rollouts(paths, threat, NAIVE_BATCH)
 
     def run(count: int) -> int:

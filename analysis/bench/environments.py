@@ -1,10 +1,10 @@
-"""Environment steps a second: `python -m analysis.bench.environments`. 1,024 environments, 8 robots, 20x20 cells.
+"""Environment steps per second: `python -m analysis.bench.environments`. 1,024 environments, 8 robots, 20x20 cells.
 
-Random actions, 200 steps in one compiled scan, the best of several turns in one run. Beside it, where they are
-installed, Jumanji's Cleaner (20x20, 8 agents) and JaxMARL's grid with as many agents, STORM (its 8-agent arena).
-Columns: rewards alone are read, so that the compiler leaves observations out; or observations too. Each is stepped with
-a new episode where one ends (Cleaner: a new maze, by Jumanji's `AutoResetWrapper`), ours and Cleaner also without.
-Below, choices of areas a second of one environment in Python (`actions="areas"`), the first offer each.
+Random actions, 200 steps in one compiled scan, the best of several runs. For comparison, if installed: Jumanji's
+Cleaner (20x20, 8 agents), and STORM, JaxMARL's grid world with as many agents (its 8-agent arena). Columns: only
+rewards are read, so that the compiler removes observations; or observations too. Episodes restart (Cleaner: a new maze,
+by Jumanji's `AutoResetWrapper`); this project and Cleaner are also run without. Last: choices of areas per second of
+one environment in Python (`actions="areas"`), always the first offer.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from planner.world.generate import random_world
 
 ENVIRONMENTS, STEPS, SIDE, ROBOTS, TURNS = 1024, 200, 20, 8, 5
 SLOW = 10.0
-"""A turn of so many seconds is the only one."""
+"""A run of this many seconds is not repeated."""
 Step = Callable[[jax.Array, Any], tuple[Any, jax.Array, Any]]
-"""From a key and a batch of states: the next states, the sum of the rewards, and what is observed."""
+"""From a key and a batch of states: the next states, the sum of the rewards, and the observations."""
 
 
 def any_of(key: jax.Array, count: int) -> jax.Array:
-    """A random one of so many actions for each robot, int32 `[B, K]`: a hash, as `jax.random` would cost the most."""
+    """A random action for each robot, int32 `[B, K]`, by a hash: `jax.random` would dominate the run time."""
     place = jnp.arange(ENVIRONMENTS * ROBOTS, dtype=jnp.uint32).reshape(ENVIRONMENTS, ROBOTS)
     word = jax.random.bits(key) + place * jnp.uint32(2654435761)
     word = (word ^ (word >> 15)) * jnp.uint32(0x2C1B3C6D)
@@ -39,9 +39,9 @@ def any_of(key: jax.Array, count: int) -> jax.Array:
 
 
 def ours(view: int | None = None, planes: bool = False, anew: bool = True) -> tuple[Any, Step]:
-    """States and step of the environment here; observed are the planes of every robot, or the state of the team.
+    """States and step of this project's environment; observations are the planes of all robots, or the team's state.
 
-    `anew`: a new episode follows where one ends.
+    `anew`: episodes restart.
     """
     env = of_jax("environment")(random_world(SIDE, SIDE), ROBOTS, view=view)
     take = env.step if anew else env.step_env
@@ -57,7 +57,7 @@ def ours(view: int | None = None, planes: bool = False, anew: bool = True) -> tu
 
 
 def cleaner(anew: bool = True) -> tuple[Any, Step]:
-    """Jumanji's Cleaner: a maze whose tiles are to be visited, without danger."""
+    """Jumanji's Cleaner: a maze whose tiles are to be visited, without threats."""
     from jumanji.environments import Cleaner
     from jumanji.environments.routing.cleaner.generator import RandomGenerator
     from jumanji.wrappers import AutoResetWrapper
@@ -66,8 +66,8 @@ def cleaner(anew: bool = True) -> tuple[Any, Step]:
     env = AutoResetWrapper(alone) if anew else alone
 
     def step(key: jax.Array, states: Any) -> tuple[Any, jax.Array, Any]:
-        after, told = jax.vmap(env.step)(states, any_of(key, 4))
-        return after, told.reward, told.observation
+        after, result = jax.vmap(env.step)(states, any_of(key, 4))
+        return after, result.reward, result.observation
 
     return jax.vmap(env.reset)(jax.random.split(jax.random.key(0), ENVIRONMENTS))[0], step
 
@@ -90,7 +90,7 @@ def storm() -> tuple[Any, Step]:
 
 
 def scanned(begin: Any, step: Step, read: bool) -> Callable[[jax.Array], Any]:
-    """A compiled run of all steps that hands over the sum of the rewards, and if `read` of all observations."""
+    """A compiled run of all steps that returns the sum of the rewards, with `read` also of all observations."""
 
     def one(carried: Any, key: jax.Array) -> tuple[Any, None]:
         states, total = carried
@@ -104,7 +104,7 @@ def scanned(begin: Any, step: Step, read: bool) -> Callable[[jax.Array], Any]:
 
 
 def contenders() -> dict[str, tuple[Any, Step]]:
-    """Those that are installed, by name."""
+    """The installed environments, by name."""
     found = {
         "mrac, no new episodes, state of the team": ours(anew=False),
         "mrac, state of the team": ours(),
@@ -119,7 +119,7 @@ def contenders() -> dict[str, tuple[Any, Step]]:
 
 
 def choices(rule: str, missions: int = 30) -> float:
-    """Of areas, a second of this process, in so many missions."""
+    """Choices of areas per second of this process, over `missions` missions."""
     env = of_jax("environment")(random_world(SIDE, SIDE), ROBOTS, actions="areas", rule=rule)
     made, clock = 0, time.process_time()
     for rollout in range(missions):

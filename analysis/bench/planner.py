@@ -1,7 +1,7 @@
-"""How long planning takes: `python -m analysis.bench.planner [INPUT ...]`, compilation apart.
+"""Time of planning without compilation: `python -m analysis.bench.planner [INPUT ...]`.
 
-Worlds of the paper's kind at three sizes, contiguous and scattered; every INPUT also with 16 robots as it is. Medians
-of several plans, so that those in which something is compiled do not count; an INPUT is planned once, after them.
+Worlds of the paper's kinds at three sizes, contiguous and scattered, and every INPUT with 16 robots. Medians of several
+plans, so that plans with a compilation do not count; an INPUT is planned once, after them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The paper's experiments (section 7, Figs. 4 to 7) again, with many runs on each of many maps.
+"""Reproduction of the paper's experiments (section 7, Figs. 4 to 7) with many runs on each of many maps.
 
-Map number i of every setting has the same seed, so that settings are compared on the same obstacles, and so have its
-rollouts. Each map is rolled out with every visit checked and with first visits alone, and its open loop is exact.
+Map i of every setting has the same seed, and so have its rollouts, so that settings are compared on the same obstacles.
+Each map is simulated with threats at every visit and at first visits only; its open loop is exact.
 """
 
 from __future__ import annotations
@@ -40,20 +40,20 @@ from planner.world.generate import Kind
 if TYPE_CHECKING:
     from distributed import Client
 
-# What the paper's figures are drawn from: one setting of the experiments, averaged over maps.
+# Data of the paper's figures: one setting of the experiments, averaged over maps.
 
 MEANINGS = ("visited", "survived")
 COVERAGE = tuple(f"{meaning}{of}" for meaning in MEANINGS for of in ("", "_free"))
 """Coverage of the accessible cells and, `_free`, of all free ones."""
 TIME_BIN = 10
-"""Steps."""
+"""Width of a bin, in steps."""
 FIGURE4 = {4: (0.8033, 311), 10: (0.9733, 244)}
-"""Robots: coverage and steps of the one run each that Fig. 4 shows; 241 and 292 of 300 cells, so of all free cells."""
+"""Robots: coverage and steps of the single runs in Fig. 4; 241 and 292 of 300 cells, hence of all free cells."""
 
 
 Key = tuple[str, str, str]
-"""What it is ("mean", "run", "square", "share", "beside" luck, "errors"), the loop, the figure. Loops:
-"closed", every visit checked; "first", only the first visit of a cell by anybody; "open", no reallocation, exact."""
+"""Quantity ("mean", "run", "square", "share", "controls": mean with control variates, "errors"), loop, figure. Loops:
+"closed", threats at every visit; "first", only at the first visit of a cell; "open", no reallocation, exact."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +62,10 @@ class Point:
 
     Attributes:
         kind: "contiguous" or "scattered". robots: K. ratio: threats, of all cells.
-        columns: float64 `[M]` each, of the numbers of `columns_of` and, as "mean", of the open loop's expected values
-            and of ("ideal", "visited"), the ideal of the team, of the accessible cells.
-        runs: int64 by "coverage" `[101]` and "time" `[T]`: single runs (closed loop) by the per cent of the free cells
-            that they cover, rounded down, and by TIME_BIN steps; all maps together.
+        columns: float64 `[M]` each, of the quantities of `columns_of` and, as "mean", of the open loop's expectations
+            and of ("ideal", "visited"), the upper bound of the team, of the accessible cells.
+        runs: int64 by "coverage" `[101]` and "time" `[T]`: histograms of single runs (closed loop) by the percentage of
+            free cells covered, rounded down, and by TIME_BIN steps; all maps together.
         rollouts: of each map.
     """
 
@@ -78,26 +78,25 @@ class Point:
 
     @property
     def means(self) -> list[tuple[str, str]]:
-        """The (loop, figure) whose means are known."""
+        """The (loop, figure) pairs with a mean."""
         return [(loop, figure) for what, loop, figure in self.columns if what == "mean"]
 
     def estimate(self, loop: str, figure: str) -> Estimate:
-        """Mean over maps; its interval is Student's from the spread between maps, rollouts' noise included."""
+        """Mean over maps; its Student interval from the variance between maps includes the rollouts' noise."""
         return over_maps(self.columns["mean", loop, figure])
 
     def spread_of_a_run(self, loop: str, figure: str) -> float:
-        """Standard deviation of a single run on a single map: what one run a map, as in the paper, varies by."""
+        """Standard deviation of a single run on a single map, as in the paper's design of one run for each map."""
         mean, square = (float(self.columns[what, loop, figure].mean()) for what in ("run", "square"))
         return float(np.sqrt(max(square - mean**2, 0.0)))
 
 
 def columns_of(run: Run, tally: Tally, loop: str, free: int) -> dict[Key, Any]:
-    """What one map's rollouts of a loop came to, a run and its tally; `free`: free cells of its map.
+    """Figures of one map's rollouts of a loop, from a run and its tally; `free`: free cells of its map.
 
-    run, square: mean and mean square of single runs, of each of COVERAGE (fractions) and "time" (steps). share: of
-    those that cover no more of the free cells ("coverage"), or take no longer ("time"), than the run of Fig. 4 with so
-    many robots.
-    beside, errors: of `analysis.statistics.variance_reduction.beside_luck`.
+    run, square: mean and mean square of single runs, of each of COVERAGE (fractions) and "time" (steps). share: of runs
+    that cover no more of the free cells ("coverage"), or take no longer ("time"), than the run of Fig. 4 with the same
+    number of robots. controls, errors: see `analysis.statistics.variance_reduction.beside_luck`.
     """
     found: dict[Key, Any] = {}
     means, errors = figures_of(run)
@@ -108,7 +107,7 @@ def columns_of(run: Run, tally: Tally, loop: str, free: int) -> dict[Key, Any]:
         found["run", loop, figure] = float(often @ values) / tally.rollouts
         found["square", loop, figure] = float(often @ values**2) / tally.rollouts
         place = KEPT[figure.replace("_free", "_of_free")]
-        found["beside", loop, figure], found["errors", loop, figure] = means[place], errors[place]
+        found["controls", loop, figure], found["errors", loop, figure] = means[place], errors[place]
     if tally.robots in FIGURE4:
         coverage, steps = FIGURE4[tally.robots]
         cells = int(np.floor(coverage * free + 0.5))
@@ -118,14 +117,14 @@ def columns_of(run: Run, tally: Tally, loop: str, free: int) -> dict[Key, Any]:
 
 
 def put_right(columns: dict[Key, NDArray[np.float64]], rollouts: int) -> None:
-    """Add each map's "mean" to its "run": less what its luck is worth, by all maps together."""
-    for _, loop, figure in [key for key in columns if key[0] == "beside"]:
-        means, errors = columns["beside", loop, figure], columns["errors", loop, figure]
+    """Add each map's "mean": its "run" with the control variate, fitted over all maps."""
+    for _, loop, figure in [key for key in columns if key[0] == "controls"]:
+        means, errors = columns["controls", loop, figure], columns["errors", loop, figure]
         columns["mean", loop, figure], _ = control_variate.put_right(means, errors, len(means) * (rollouts - 1))
 
 
 def runs_of(tally: Tally, free: int) -> dict[str, NDArray[np.int64]]:
-    """Single runs of one map, as of `Point.runs`."""
+    """Single runs of one map, see `Point.runs`."""
     per_cent = np.minimum(100 * np.arange(len(tally.visited)) // free, 100)
     in_bins = np.arange(len(tally.time)) // TIME_BIN
     return {
@@ -134,23 +133,23 @@ def runs_of(tally: Tally, free: int) -> dict[str, NDArray[np.int64]]:
     }
 
 
-# The statements of the paper's section on experiments, each held against our maps: reproduced or not, by how much.
+# The statements of the paper's section on experiments, each compared with our maps: reproduced or not.
 #
-# A statement that gives a number is held against ours by `(ours - paper's) / sqrt(se^2 + se_paper^2 + rounding^2)`; the
-# paper's standard error is that of its own design, one run on each of 500 maps. One that gives a direction is held
-# against the difference of two settings, map by map on the same random numbers, divided by its standard error.
+# A number is compared by `(ours - paper's) / sqrt(se^2 + se_paper^2 + rounding^2)`; the paper's standard error follows
+# from its design, one run on each of 500 maps. A direction is compared with the difference of two settings, map by map
+# with common random numbers, divided by its standard error.
 
 PAPER_MAPS = 500
-"""Maps a point in the paper, one run each (section 7)."""
+"""Maps for each point in the paper, one run each (section 7)."""
 ENOUGH = 3.0
 """Standard errors that decide."""
-FIRST = ", first visits alone checked"
+FIRST = ", threats at first visits only"
 LOOPS = (("closed", ""), ("first", FIRST))
-"""The closed loop's two readings of when a visit can stop a robot, and how statements name them."""
+"""The closed loop with threats at every visit or at first visits only, and the suffix of statements."""
 
 
 class StatementVerdict(StrEnum):
-    """What our maps say of a statement."""
+    """The result of a comparison."""
 
     REPRODUCED = "reproduced"
     NOT_REPRODUCED = "not reproduced"
@@ -159,11 +158,11 @@ class StatementVerdict(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """A statement and what was found.
+    """A statement of the paper and our result.
 
     Attributes:
-        figure: of the paper. statement: what it says. found: what we found. deviation: in standard errors; for a
-            direction above 0 where the statement is right, for a number ours - paper's. verdict: of that.
+        figure: of the paper. statement: of the paper. found: our result. deviation: in standard errors; for a direction
+            positive if the statement is right, for a number ours - paper's. verdict: of the deviation.
     """
 
     figure: str
@@ -174,12 +173,12 @@ class Finding:
 
 
 def findings(points: Sequence[Point]) -> list[Finding]:
-    """Every statement that these points say something about."""
+    """All statements that these points can test."""
     return [finding for of_figure in (_figure4, _figure5, _figure6, _figure7) for finding in of_figure(points)]
 
 
 def _figure4(points: Sequence[Point]) -> Iterator[Finding]:
-    """Its map is not in the text: where its two runs fall among all runs on our maps."""
+    """The map of Fig. 4 is not published: compare its two runs with the distribution of runs on our maps."""
     for point in _teams(points, "contiguous"):
         if ("share", "closed", "time") not in point.columns:
             continue
@@ -188,6 +187,7 @@ def _figure4(points: Sequence[Point]) -> Iterator[Finding]:
             shares = [float(point.columns["share", loop, name].mean()) for name in ("coverage", "time")]
             less, faster = map(percent, shares)
             found = f"{less} of our runs cover no more of the free cells, {faster} take no longer"
+            # Continuity correction: a share of 0 or 1 would give an infinite deviation.
             least = 0.5 / (len(point.columns["share", loop, "time"]) * point.rollouts)
             deviation = max((float(ndtri(np.clip(share, least, 1 - least))) for share in shares), key=abs)
             verdict = StatementVerdict.REPRODUCED if abs(deviation) <= ENOUGH else StatementVerdict.NOT_REPRODUCED
@@ -248,7 +248,9 @@ def _figure7(points: Sequence[Point]) -> Iterator[Finding]:
 
 def _number(figure: str, statement: str, point: Point, said: float, loop: str = "closed") -> Finding:
     ours = point.estimate(loop, "visited")
+    # The paper gives no errors; its design determines them.
     paper = point.spread_of_a_run(loop, "visited") / math.sqrt(PAPER_MAPS)
+    # Standard deviation of a uniform rounding error of one percent.
     rounding = 0.01 / math.sqrt(12)
     deviation = (ours.mean - said) / math.sqrt(ours.se**2 + paper**2 + rounding**2)
     verdict = StatementVerdict.REPRODUCED if abs(deviation) <= ENOUGH else StatementVerdict.NOT_REPRODUCED
@@ -285,20 +287,20 @@ def _deviation(gap: Gap, sign: int) -> float:
 
 
 def _every(figure: str, statement: str, points: list[Point], what: str, sign: int, loop: str = "closed") -> Finding:
-    """From each point to the next: the worst of them decides."""
+    """Between consecutive points: the worst difference decides."""
     return _all_of(figure, statement, list(itertools.pairwise(points)), what, sign, loop)
 
 
 def _all_of(
     figure: str, statement: str, pairs: list[tuple[Point, Point]], what: str, sign: int, loop: str = "closed"
 ) -> Finding:
-    """From the first to the second of every pair, `what` goes the way of `sign`: the worst pair decides."""
+    """From the first to the second point of every pair, `what` changes in the direction `sign`: the worst decides."""
     gaps = [(_deviation(_gap(a, b, what, loop), sign), a, b) for a, b in pairs]
     worst, before, after = min(gaps, key=lambda one: one[0])
     gap = _gap(before, after, what, loop)
     words = _steps(gap) if what == "time" else _statements_points(gap)
     wrong = sum(deviation <= -ENOUGH for deviation, *_ in gaps)
-    said = f"{wrong} of {len(gaps)} the other way; " if wrong and len(gaps) > 1 else ""
+    said = f"{wrong} of {len(gaps)} in the other direction; " if wrong and len(gaps) > 1 else ""
     where = f"worst {_named(before, after)}: " if len(gaps) > 1 else ""
     return Finding(figure, statement, f"{said}{where}{words}", worst, _judged(worst))
 
@@ -334,16 +336,16 @@ SETTINGS: dict[str, tuple[Setting, ...]] = {
     "fig6": tuple(Setting("scattered", robots) for robots in TEAMS),
     "fig7": tuple(Setting("contiguous", 8, ratio) for ratio in RATIOS),
 }
-"""The points of each figure. Fig. 6 is compared with Fig. 5, so `reproduce fig6` runs that too."""
+"""The points of each figure. Fig. 6 is compared with Fig. 5, so `reproduce fig6` runs both."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Reproduction(Swept):
-    """The answer: points by figure, what became of the paper's statements.
+    """The result: points by figure, and verdicts on the paper's statements.
 
     Attributes:
-        figures: names, in order. points: by setting. maps: that all points share; rollouts: of each map and loop.
-        seed: of the first map. finished: how the run ended.
+        figures: names, in order. points: by setting. maps: number that all points share; rollouts: of each map and
+            loop. seed: of the first map. finished: summary of the run.
     """
 
     reported_by = "analysis.experiments.reproduction:report"
@@ -361,14 +363,14 @@ class Reproduction(Swept):
 
     @property
     def findings(self) -> list[Finding]:
-        """What became of the paper's statements about these figures."""
+        """The verdicts on the paper's statements about these figures."""
         wanted = {f"Fig. {name[-1]}" for name in self.figures}
         return [found for found in findings(list(self.points.values())) if found.figure in wanted]
 
 
 @dataclass
 class _Collected:
-    """Columns and single runs of each setting, map by map, as they come."""
+    """Columns and single runs of each setting, map by map, as they are computed."""
 
     settings: tuple[Setting, ...]
     seed: int
@@ -376,7 +378,7 @@ class _Collected:
     found: dict[Setting, dict[int, tuple[Columns, Runs]]] = field(default_factory=dict)
 
     def take(self, done: Done) -> None:
-        """A finished job: its runs' tallies and facts, as columns."""
+        """Add a finished job: its runs' tallies and facts, as columns."""
         labels = dict(done.job.case.labels)
         kind: Kind = "contiguous" if labels["kind"] == "contiguous" else "scattered"
         setting = Setting(kind, int(labels["robots"] or 0), float(labels["ratio"] or 0))
@@ -391,7 +393,7 @@ class _Collected:
         self.found.setdefault(setting, {})[number] = (columns, singles[0])
 
     def points(self, rollouts: int) -> tuple[dict[Setting, Point], int]:
-        """The points over the maps that every setting has, and how many those are."""
+        """The points over the maps that every setting has, and the number of these maps."""
         maps = [self.found.get(setting, {}) for setting in self.settings]
         shared = sorted(set.intersection(*map(set, maps)))
         if not shared:
@@ -411,10 +413,16 @@ def reproduce(
     scheduler: str | Client | None = None,
     progress: ProgressCallback | None = None,
 ) -> Reproduction:
-    """Run what a figure (or "all") needs and put it together; the executors are those of `run_cases`.
+    """Run the settings of a figure (or "all") and collect the points; the executors are those of `run_cases`.
 
-    `store`: results are taken from it and kept in it; None: in memory. An interruption leaves the maps that are done;
-    none: KeyboardInterrupt again. Raises InputError.
+    Args:
+        store: results are read from it and written to it; None: in memory.
+
+    Returns:
+        The result. After an interruption: the maps done so far.
+
+    Raises:
+        InputError: an argument out of range. KeyboardInterrupt: before the first map.
     """
     check_maps(maps, seed)
     check_word("figure", figure, (*SETTINGS, "all"))
@@ -446,7 +454,7 @@ def reproduce(
 
 
 def _jobs(settings: tuple[Setting, ...], maps: int, rollouts: int, seed: int) -> Iterator[Job]:
-    """Map after map, so that an interruption leaves whole maps."""
+    """Map after map, so that an interruption leaves complete maps."""
     for number in range(seed, seed + maps):
         models = tuple(RolloutChoices(seed=number, first_only=only) for only in (False, True))
         for setting in settings:
@@ -454,7 +462,7 @@ def _jobs(settings: tuple[Setting, ...], maps: int, rollouts: int, seed: int) ->
 
 
 def _exact_columns(facts: Json, free: int, accessible: int) -> Columns:
-    """The open loop's expected values and the ideal of the team."""
+    """The open loop's expectations and the upper bound of the team."""
     exact, columns = facts["exact"], Columns()
     for figure in COVERAGE:
         cells = free if figure.endswith("_free") else accessible
@@ -480,7 +488,7 @@ TITLES = {
     "fig7": "Fig. 7: 8 robots, threats on 0 to 35 % of the cells",
 }
 STATED: dict[str, tuple[tuple[float, float], ...]] = {"fig5": ((1, 0.44), (2, 0.62))}
-"""(abscissa, coverage) that the paper's text gives."""
+"""(abscissa, coverage) stated in the paper's text."""
 TABLE = (
     ("visited", "closed", "visited", 100.0),
     ("survived", "closed", "survived", 100.0),
@@ -498,13 +506,13 @@ CURVES = {
         ("closed", "visited", "closed loop, visited"),
         ("closed", "survived", "... survived"),
         ("closed", "visited_free", "... visited, of all free cells"),
-        ("first", "visited", "closed loop, first visits alone checked"),
+        ("first", "visited", "closed loop, threats at first visits only"),
         ("open", "visited", "open loop, exact"),
-        ("ideal", "visited", "ideal of the team"),
+        ("ideal", "visited", "upper bound of the team"),
     ),
     "time": (
         ("closed", "time", "closed loop"),
-        ("first", "time", "first visits alone checked"),
+        ("first", "time", "threats at first visits only"),
         ("open", "time", "open loop: last move of a live robot"),
     ),
 }
@@ -512,12 +520,12 @@ CURVES = {
 
 
 def report(answer: Reproduction) -> Report:
-    """What became of the statements; coverage and time over the team or the ratio of threats, on the paper's axes."""
+    """Verdicts on the statements; coverage and time over the team or the ratio of threats, on the paper's axes."""
     finished, said = answer.finished, headline(answer)
     over = [figure for figure in answer.figures if figure != "fig4"]
     charts = {figure: [_chart(answer, figure, what) for what in CURVES] for figure in answer.figures}
     return Report(
-        "reproduction", "reproduce", "The paper's experiments, again", said,
+        "reproduction", "reproduce", "The paper's experiments, reproduced", said,
         lambda: {"answer": said} | reproduction_json(answer),
         heading=[
             f"{counted(answer.maps, 'map')} a point, {counted(answer.rollouts, 'rollout')} a map and loop, "
@@ -529,22 +537,22 @@ def report(answer: Reproduction) -> Report:
             Part("Points", [_report_points(figure, answer.of(figure)) for figure in over], [POINTS] if over else (),
                  drawn=lambda: [chart for pair in charts.values() for chart in pair]),
         ),
-        warnings=("Interrupted: the maps that were done.",) if finished.partial else (),
+        warnings=("Interrupted: only the maps that are done.",) if finished.partial else (),
         pictures={f"{name}.png": partial(list, pair) for name, pair in charts.items()},
         files={"points.csv": lambda: _csv(answer)},
     )  # fmt: skip
 
 
-DEVIATION = "Deviation: in standard errors; of Fig. 4's runs in those of a bell of our runs. Beyond 3 decides."
+DEVIATION = "Deviation: in standard errors; for Fig. 4, normal quantile among our runs. Beyond 3 decides."
 POINTS = (
     "Coverage in %, time in steps, means over maps; se: the largest standard error of a coverage and of a time in the "
-    "row. visited, survived: of the accessible cells, every visit checked; first: only the first visit of a cell can "
-    "stop a robot."
+    "row. visited, survived: of the accessible cells, threats at every visit; first: only the first visit of a cell "
+    "can destroy a robot."
 )
 
 
 def _chart(answer: Reproduction, figure: str, what: str) -> Chart:
-    """Coverage or time over the points of a figure; of Fig. 4, how often which was reached."""
+    """Coverage or time over the points of a figure; for Fig. 4, a histogram."""
     if figure == "fig4":
         return _runs(answer.of(figure), what)
     scale, unit, limits = (100.0, "%", (0.0, 100.0)) if what == "coverage" else (1.0, "", None)
@@ -558,7 +566,7 @@ def _chart(answer: Reproduction, figure: str, what: str) -> Chart:
 
 
 def _runs(points: list[Point], what: str) -> Chart:
-    """Where the single runs of Fig. 4 fall among all runs on our maps."""
+    """The single runs of Fig. 4 in the distribution of runs on our maps."""
     covered, series, marks = what == "coverage", [], []
     for point in points:
         counts, (coverage, steps) = np.trim_zeros(point.runs[what], "b"), FIGURE4[point.robots]
@@ -577,7 +585,7 @@ def _series(points: list[Point], figure: str, curve: tuple[str, str, str], scale
 
 
 def headline(answer: Reproduction) -> str:
-    """How many of the paper's statements are reproduced."""
+    """The number of reproduced statements."""
     found = answer.findings
     counts = {verdict: sum(one.verdict is verdict for one in found) for verdict in StatementVerdict}
     said = ", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count)
@@ -587,7 +595,7 @@ def headline(answer: Reproduction) -> str:
 def _statements(found: list[Finding]) -> Table:
     columns = ("figure", "statement", "here", "deviation", "")
     left = tuple(name for name in columns if name != "deviation")
-    table = make_table(columns, "What the paper says", left=left, padding=(0, 1, 0, 0))
+    table = make_table(columns, "Statements of the paper", left=left, padding=(0, 1, 0, 0))
     for one in found:
         table.add_row(one.figure, one.statement, one.found, f"{one.deviation:+.1f}", str(one.verdict))
     return table
@@ -609,7 +617,7 @@ def _at(figure: str, point: Point) -> float:
 
 
 def reproduction_json(answer: Reproduction) -> Json:
-    """The JSON object of `reproduce`, but for its sentence; coverage is a fraction."""
+    """The JSON object of `reproduce` without its summary; coverage is a fraction."""
     finished = answer.finished
     return {
         "maps": answer.maps,

@@ -1,1 +1,1 @@
-"""Policies of users: evaluated beside the planner, and ranked on a fixed suite of worlds."""
+"""Evaluation of user policies against the planner, and a leaderboard on a fixed suite of worlds."""

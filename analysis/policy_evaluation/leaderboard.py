@@ -1,4 +1,4 @@
-"""The leaderboard: what everybody covers on every world of the suite, the ranks, and what `mrac-jax suite` says."""
+"""The leaderboard of policies on the benchmark suite, and the report of `mrac-jax suite`."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ from planner.world.levels import place_starts
 from planner.world.scenario import load_input
 from planner.world.world import World
 
-# The table: what everybody covers on every world, the score between a random walk and the bound, and the rank.
+# Results: coverage and score of each entry on each world, and the ranks.
 
 RANDOM = "random walk"
 
 
 class Rolled(NamedTuple):
-    """Cells visited and robots lost by rollout, int64 `[B]` each."""
+    """Cells visited and robots lost in each rollout, int64 `[B]` each."""
 
     visited: NDArray[np.int64]
     lost: NDArray[np.int64]
@@ -58,12 +58,12 @@ class Rolled(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Played:
-    """A world and what everybody made of it.
+    """A world with the rollouts of every entry.
 
     Attributes:
-        robots: K. cells: accessible ones. bound: cells that no strategy exceeds on average, certified.
-        optimum: the most that a strategy visits on average; None where that is not known.
-        rolled: by name, rollout r of each on the same luck.
+        robots: K. cells: number of accessible cells. bound: policy-independent upper bound of the expected cells
+            visited, certified. optimum: the optimal expectation; None: unknown.
+        rolled: by entry; rollout r of all entries has the same random numbers.
     """
 
     name: str
@@ -74,16 +74,16 @@ class Played:
     rolled: dict[str, Rolled]
 
     def coverage(self, entry: str) -> Estimate | None:
-        """Mean visited coverage, a fraction of the accessible cells; None where it has not played."""
+        """Mean visited coverage, a fraction of the accessible cells; None: no rollouts of this entry."""
         return share_of(self.rolled[entry].visited, self.cells) if entry in self.rolled else None
 
     def lost(self, entry: str) -> float:
-        """The share of the team that is lost on average."""
+        """Mean share of the team that is lost."""
         return float(self.rolled[entry].lost.mean()) / self.robots
 
     @cached_property
     def scores(self) -> dict[str, NDArray[np.float64]]:
-        """By name, float64 `[B]` as of `scores_of`; empty where the bound leaves no room above the random walk."""
+        """By entry, float64 `[B]`, see `scores_of`; empty if the bound is not above the random walk."""
         walk = self.rolled[RANDOM].visited / self.cells
         found = {
             name: scores_of(of.visited / self.cells, walk, self.bound / self.cells) for name, of in self.rolled.items()
@@ -92,7 +92,7 @@ class Played:
 
     @property
     def first(self) -> set[str]:
-        """Those that nobody is surely ahead of here: the best, and whose distance from it may be none."""
+        """The entries that no other is significantly ahead of: the best, and those not significantly behind it."""
         best = max(self.rolled.values(), key=lambda of: float(of.visited.mean())).visited
         return {name for name, of in self.rolled.items() if _least(best - of.visited) <= 0}
 
@@ -103,13 +103,14 @@ def _least(apart: NDArray[np.int64]) -> float:
 
 @dataclass(frozen=True)
 class Row:
-    """An entry over all worlds.
+    """Summary of an entry over all worlds.
 
     Attributes:
-        rank: by its score, from 1; None where it has not played on all of them. worlds: on which it has.
-        score: mean over these worlds of (J - J_random) / (bound - J_random). behind: of the first of all, common luck.
-        coverage: mean over these worlds of what it visits. lost: of the share of the team that it loses.
-        first: worlds on which nobody is surely ahead of it.
+        rank: by score, from 1; None: it lacks rollouts on some worlds. worlds: number of worlds with rollouts.
+        score: mean over these worlds of (J - J_random) / (bound - J_random). behind: the first entry's score minus this
+            one's, with common random numbers.
+        coverage: mean visited coverage over these worlds. lost: mean share of the team that is lost.
+        first: number of worlds on which no entry is significantly ahead of it.
     """
 
     name: str
@@ -124,11 +125,11 @@ class Row:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Standing(Answer):
-    """Who stands where.
+    """The leaderboard.
 
     Attributes:
-        worlds: in the suite's order. rollouts, seed: of each. own: the name of the policy that was given.
-        seconds: that it took. partial: it was interrupted: not all worlds that were asked for.
+        worlds: in the suite's order. rollouts, seed: of each entry. own: name of the given policy.
+        seconds: run time. partial: it was interrupted and lacks some worlds.
     """
 
     reported_by = "analysis.policy_evaluation.leaderboard:report"
@@ -143,9 +144,10 @@ class Standing(Answer):
 
     @cached_property
     def entries(self) -> tuple[Row, ...]:
-        """Everybody, the first first; then who has not played on all worlds."""
+        """All entries by rank, then those that lack rollouts on some worlds."""
         names = list(dict.fromkeys(name for played in self.worlds for name in played.rolled))
         scores = {name: [played.scores[name] for played in self.worlds if name in played.scores] for name in names}
+        # The mean is taken by rollout id: worlds share random numbers, so their errors are correlated.
         mean = {name: np.mean(of, axis=0) for name, of in scores.items() if of}
         most = max(map(len, scores.values()), default=0)
         ranked = sorted((name for name in mean if len(scores[name]) == most), key=lambda name: -mean[name].mean())
@@ -165,20 +167,20 @@ class Standing(Answer):
         )  # fmt: skip
 
 
-# Who stands in the table besides the planner: a policy from a file or a function, and plans of other planners.
+# Entries in addition to the planner: a policy from a file or a function, and plans of other planners.
 
 WANTED = "policy"
-"""What a policy's file is to define."""
+"""The name that a policy's file must define."""
 
 
 @dataclass(frozen=True)
-class Own:
-    """A policy of one's own.
+class GivenPolicy:
+    """A given policy.
 
     Attributes:
         name: in the table. said: in errors.
         given: the function, the planner's `Rule`, or the file that defines one as `policy`.
-        actions: what a function chooses, as of `mrac.env`.
+        actions: actions of a function, see `mrac.env`.
     """
 
     name: str
@@ -187,25 +189,25 @@ class Own:
     actions: Literal["moves", "areas"] = "moves"
 
     def load(self) -> Callable[..., Any] | Rule:
-        """The function or rule itself. Raises InputError."""
+        """The function or rule. Raises InputError."""
         return load_policy(self.given) if isinstance(self.given, Path) else self.given
 
 
-def own_of(given: Callable[..., Any] | Rule | str | Path, actions: Literal["moves", "areas"]) -> Own:
-    """The policy that is given, looked at once. Raises InputError."""
+def own_of(given: Callable[..., Any] | Rule | str | Path, actions: Literal["moves", "areas"]) -> GivenPolicy:
+    """The given policy, loaded once as a check. Raises InputError."""
     if isinstance(given, str | Path):
         load_policy(Path(given))
-        return Own(Path(given).stem, str(given), Path(given), actions)
+        return GivenPolicy(Path(given).stem, str(given), Path(given), actions)
     if isinstance(given, Rule):
-        return Own(given.name, given.name, given)
+        return GivenPolicy(given.name, given.name, given)
     if not callable(given):
-        raise UsageError(argument("policy", given), expected="a function of what the robots observe, a Rule, or a file")
+        raise UsageError(argument("policy", given), expected="a function of observations, a Rule, or a file")
     name = getattr(given, "__name__", type(given).__name__)
-    return Own(name, name, given, actions)
+    return GivenPolicy(name, name, given, actions)
 
 
 def load_policy(path: Path) -> Callable[..., Any] | Rule:
-    """What a Python file defines as `policy`; it may import what lies beside it. Raises InputError."""
+    """The object that a Python file defines as `policy`; the file may import from its folder. Raises InputError."""
     check_file(path, f"a Python file that defines `{WANTED}`")
     if str(path.parent.resolve()) not in sys.path:
         sys.path.append(str(path.parent.resolve()))
@@ -220,7 +222,7 @@ def load_policy(path: Path) -> Callable[..., Any] | Rule:
 
 
 def plan_files(plans: Mapping[str, str | Path], names: tuple[str, ...]) -> dict[str, dict[str, Path]]:
-    """By planner and world the files ID.* of the folders. Raises UsageError for a folder that has none of them."""
+    """By planner and world, the files ID.* of the folders. Raises UsageError for a folder without any of them."""
     found = {}
     for planner, folder in plans.items():
         files = {path.stem: path for path in sorted(Path(folder).glob("*")) if path.stem in names}
@@ -230,8 +232,8 @@ def plan_files(plans: Mapping[str, str | Path], names: tuple[str, ...]) -> dict[
     return found
 
 
-def read_foreign(path: Path, world: World) -> Plan:
-    """The plan of another planner, for the robots of the world. Raises PlanError, UsageError."""
+def _read_external(path: Path, world: World) -> Plan:
+    """An external plan for the robots of the world. Raises PlanError, UsageError."""
     plan = read_plan(path, world)
     assert world.starts is not None
     if sorted(plan.starts.tolist()) != sorted(world.starts.tolist()):
@@ -240,23 +242,23 @@ def read_foreign(path: Path, world: World) -> Plan:
     return plan
 
 
-# The thirty worlds of the suite, each made from its name alone. They are stable for ever: a test holds their hashes.
+# The thirty worlds of the suite, each generated from its name. They never change: a test checks their hashes.
 #
-# Random worlds are the paper's (`planner.world.generate`, 25 % obstacles), the n-th of the list of seed FIRST_SEED + n;
-# robots start upper-left. Never change a line of PLACES: add worlds at the end, under new names.
+# Random worlds are the paper's (`planner.world.generate`, 25 % obstacles), the n-th in the list with seed FIRST_SEED +
+# n; robots start upper-left. Do not change a line of PLACES: add worlds at the end, under new names.
 
 FIRST_SEED = 3201
 HIT = 0.8
-"""Where hazards are there or not: the chance that a visit to one stops the robot; it is there with p / HIT."""
+"""Latent hazards: probability that a visit to an existing one destroys the robot; it exists with p / HIT."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """How a world is made.
+    """Parameters of a random world.
 
     Attributes:
-        kind: of its random threats. side: in cells. percent: of all cells that are dangerous.
-        robots: that start. hazard: "": every visit is drawn for itself, else a kind of `with_hazard`.
+        kind: of the random threats. side: in cells. percent: share of cells with a threat.
+        robots: team size. hazard: "": independent visits, else a kind of `with_hazard`.
     """
 
     kind: Kind
@@ -290,14 +292,14 @@ PLACES = (
     Place("contiguous", 20, 15, 4, "consumed"), Place("scattered", 20, 25, 8, "consumed"),
 )  # fmt: skip
 TERRAIN = {"terrain-k2": 2, "terrain-k8": 8}
-"""The shipped landscape, and robots."""
+"""The shipped landscape, by team size."""
 SEEDS = {place.name: (place, FIRST_SEED + number) for number, place in enumerate(PLACES)}
 NAMES = (*SEEDS, *TERRAIN)
 
 
 @cache
 def suite_world(name: str) -> World:
-    """The world of that name, with its starts."""
+    """The world of that name, with starts."""
     if name in TERRAIN:
         world, robots = load_input(input_path(f"{EXAMPLE}terrain")), TERRAIN[name]
     else:
@@ -307,66 +309,68 @@ def suite_world(name: str) -> World:
 
 
 def choose(only: str | Sequence[str] | None) -> tuple[str, ...]:
-    """The names, in the suite's order, that are given or that a pattern ("contiguous-10-*") fits; None: all.
+    """The names, in the suite's order, that are given or match a pattern ("contiguous-10-*"); None: all.
 
-    A text may hold several between commas. Raises UsageError for what fits none.
+    A text may hold several patterns, separated by commas. Raises UsageError for a pattern without a match.
     """
     asked = NAMES if only is None else only.split(",") if isinstance(only, str) else only
     for wanted in asked:
         if not any(fnmatchcase(name, str(wanted).strip()) for name in NAMES):
             problem = f"{argument('only')}: no world {wanted!r}"
-            raise UsageError(problem, expected=f"a pattern, or of {', '.join(NAMES)}")
+            raise UsageError(problem, expected=f"a pattern, or one of {', '.join(NAMES)}")
     return tuple(name for name in NAMES if any(fnmatchcase(name, str(wanted).strip()) for wanted in asked))
 
 
-# Everybody on every world on the same luck: cells visited and robots lost, rollout by rollout.
+# Rollouts of all entries on all worlds with common random numbers.
 
 TIMES = 4
-"""A mission is ended after so many steps for each accessible cell."""
-RESERVE = 0.25
+"""A mission ends after this number of steps for each accessible cell."""
+RISK_CAP = 0.25
 PER_CELL = Settings(policy="per_cell")
-OURS = {
+PLANNER_ENTRIES = {
     "mrac": (Settings(), "closed"),
     "mrac, open loop": (Settings(), "open"),
     "per_cell": (PER_CELL, "closed"),
-    "per_cell+reserve": (replace(PER_CELL, risk_cap=RESERVE), "closed"),
+    "per_cell+reserve": (replace(PER_CELL, risk_cap=RISK_CAP), "closed"),
 }
-"""Those that always stand in the table: settings, and the loop of the same plan."""
+"""The planner's entries: settings, and the loop in which the plan is simulated."""
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What is played on a world.
+class SuiteRun:
+    """The entries and rollouts of a run of the suite.
 
     Attributes:
-        rollouts, seed: the same for everybody. own: a policy, or None. plans: files of other planners, by world.
+        rollouts, seed: of every entry. own: the given policy, or None. plans: files of other planners, by world.
     """
 
     rollouts: int
     seed: int
-    own: Own | None
+    own: GivenPolicy | None
     plans: Mapping[str, Mapping[str, Path]]
 
 
 def run_suite(
     names: tuple[str, ...],
-    own: Own | None,
+    own: GivenPolicy | None,
     plans: Mapping[str, str | Path],
     rollouts: int,
     seed: int,
     processes: int | None = None,
     progress: ProgressCallback = quiet,
 ) -> Standing:
-    """The table of these worlds; `processes` (None: one a core) changes nothing but the time.
+    """The leaderboard on these worlds; `processes` (None: one for each core) does not change the figures.
 
-    An interruption leaves the worlds that are done; none: KeyboardInterrupt again. Raises InputError.
+    An interruption (KeyboardInterrupt) leaves the worlds done so far; if there are none, it is raised again. Raises
+    InputError.
     """
     RolloutChoices(rollouts=rollouts, seed=seed)
-    if own is not None and own.name in (RANDOM, *OURS):
-        raise UsageError(f"a policy that is called {own.name!r}", source=own.said, expected="a name of its own")
-    asked = Asked(rollouts, seed, own, plan_files(plans, names))
+    if own is not None and own.name in (RANDOM, *PLANNER_ENTRIES):
+        raise UsageError(f"a policy with the name {own.name!r}", source=own.said, expected="a name of no other entry")
+    asked = SuiteRun(rollouts, seed, own, plan_files(plans, names))
     wanted = wanted_for(None if own is None else own.given, processes, len(names))
     begun, found, partial_answer = time.monotonic(), {}, False
+    # Large worlds first: a late large world would leave other processes idle.
     largest = sorted(names, key=lambda name: -suite_world(name).threat.size)
     try:
         for name, played in answers(partial(play, asked), largest, wanted):
@@ -380,17 +384,18 @@ def run_suite(
     return Standing(worlds, rollouts, seed, None if own is None else own.name, time.monotonic() - begun, partial_answer)
 
 
-def play(asked: Asked, name: str) -> Played:
-    """Everybody on one world. Raises InputError, which names a policy and the world."""
+def play(asked: SuiteRun, name: str) -> Played:
+    """All entries on one world. Raises InputError that names a policy and the world."""
     world = suite_world(name)
     assert world.starts is not None
     cells = int(world.accessible(world.starts).sum())
+    # Plans and policies end at the same step, so that their coverage is comparable.
     choices = RolloutChoices(rollouts=asked.rollouts, seed=asked.seed, deadline=TIMES * cells)
     make_env = partial(of_jax("environment"), world, max_steps=TIMES * cells)
-    plans = {planner: read_foreign(files[name], world) for planner, files in asked.plans.items() if name in files}
+    plans = {planner: _read_external(files[name], world) for planner, files in asked.plans.items() if name in files}
     rolled = {} if asked.own is None else {asked.own.name: _own(asked.own, world, make_env, choices)}
     rolled[RANDOM] = _policy(make_env(), None, choices)
-    for rival, (settings, loop) in OURS.items():
+    for rival, (settings, loop) in PLANNER_ENTRIES.items():
         rolled[rival] = _plan(world, plan_team(world, world.starts, settings), loop, choices)
     for planner, plan in plans.items():
         rolled |= {f"{planner}, {loop} loop": _plan(world, plan, loop, choices) for loop in ("open", "closed")}
@@ -398,7 +403,7 @@ def play(asked: Asked, name: str) -> Played:
     return Played(name, len(world.starts), cells, most_cells(world, world.starts, flow=True), best, rolled)
 
 
-def _own(own: Own, world: World, make_env: Any, choices: RolloutChoices) -> Rolled:
+def _own(own: GivenPolicy, world: World, make_env: Any, choices: RolloutChoices) -> Rolled:
     assert world.starts is not None
     policy = own.load()
     try:
@@ -419,14 +424,14 @@ def _plan(world: World, plan: Plan, loop: Any, choices: RolloutChoices) -> Rolle
     return Rolled(found.visited.astype(np.int64), len(plan.robots) - found.alive.astype(np.int64))
 
 
-# The suite as one object: worlds by name, and `judge`, which plays them.
+# The suite as one object: worlds by name, and `judge`, which evaluates entries on them.
 
 
 class Suite(Mapping[str, World]):
-    """Named worlds, each made when it is asked for, with its starts."""
+    """Named worlds with starts, each created on access."""
 
     def __init__(self, only: str | Sequence[str] | None = None) -> None:
-        """`only`: as of `choose`. Raises UsageError."""
+        """`only`: see `choose`. Raises UsageError."""
         self.names = choose(only)
 
     def __getitem__(self, name: str) -> World:
@@ -455,39 +460,40 @@ class Suite(Mapping[str, World]):
         progress: ProgressCallback | bool | None = None,
         on_interrupt: OnInterrupt = "raise",
     ) -> Standing:
-        """Everybody on every world on the same luck, in a table with intervals and ranks.
+        """The leaderboard of all entries on all worlds with common random numbers.
 
         Args:
-            policy: one's own: a function as of `mrac.judge`, a planner's `Rule`, or a Python file that defines one as
-                `policy`. actions: what a function chooses.
-            plans: by name the folder of another planner's plans, files ID.json as of `read_plan`; each is followed in
-                the open loop, and in the closed one.
-            rollouts, seed: of everybody; every mission ends after 4 steps for each accessible cell.
-            processes: worlds at a time; the figures are the same. None: one a core, where the policy can be imported.
-            progress, on_interrupt: as of `mrac.evaluate`; worlds are counted.
+            policy: a function as in `mrac.judge`, a planner's `Rule`, or a Python file that defines one as `policy`.
+            plans: by planner's name, the folder of its plans: files ID.json for `read_plan`; each is simulated in the
+                open and in the closed loop.
+            actions: actions of a function.
+            rollouts, seed: of every entry; every mission ends after 4 steps for each accessible cell.
+            processes: worlds at a time; the figures do not depend on it. None: one for each core, if the policy can be
+                imported.
+            progress, on_interrupt: as in `mrac.evaluate`; worlds are counted.
         """
         own = None if policy is None else own_of(policy, actions)
         run = partial(run_suite, self.names, own, plans or {}, rollouts, seed, processes)
         return ask(lambda tell, doing: run(tell), progress, on_interrupt, "worlds")
 
 
-# What `mrac-jax suite` says: the ranks, and what everybody covers on every world.
+# The report of `mrac-jax suite`.
 
 RANKS = ("rank", "", "score, %", "behind, points", "visited, %", "lost, %", "first on", "worlds")
 NOTES = (
     "score: (J - random walk) / (bound - random walk) of mean coverage J, averaged over worlds; ± half the 95 % "
     "interval over rollouts, in brackets its ends",
-    "behind: of the first in score, on common luck; first on: worlds where nobody is surely ahead",
-    "bound: what no strategy exceeds on average, proven; optimum: what the best one reaches, on tiny worlds",
+    "behind: the first entry, common random numbers; first on: worlds on which no entry is significantly ahead",
+    "bound: policy-independent upper bound, certified; optimum: the best expectation of any policy, on tiny worlds",
 )
 
 
 def report(standing: Standing) -> Report:
-    """Ranks, worlds; both as Markdown, every figure as CSV, and the worlds as files."""
+    """Ranks and worlds as tables; both as Markdown, all figures as CSV, and the worlds as files."""
     count = counted(len(standing.worlds), "world")
     mine = [row for row in standing.entries if row.name == standing.own]
     return Report(
-        "suite", "suite", "Who covers most of dangerous worlds?", headline(standing), partial(_json, standing),
+        "suite", "suite", "Which policy covers most?", headline(standing), partial(_json, standing),
         figures=[KeyFigure(f"{row.rank} of {len(standing.entries)}", f"rank of {row.name}") for row in mine],
         heading=[f"{count}, {counted(standing.rollouts, 'rollout')} each, seed {standing.seed}"],
         took=[f"{standing.seconds:.0f} s"],
@@ -495,7 +501,7 @@ def report(standing: Standing) -> Report:
             Part("Ranks", [_table(RANKS, map(_ranked, standing.entries))], NOTES[:2]),
             Part("Visited on every world, %", [_table(_columns(standing), _worlds(standing))], NOTES[2:]),
         ],
-        warnings=("Interrupted: the worlds that were done.",) if standing.partial else (),
+        warnings=("Interrupted: only the worlds that are done.",) if standing.partial else (),
         files={
             "suite.md": lambda: "\n".join(
                 [*_markdown(RANKS, map(_ranked, standing.entries)), "",
@@ -507,15 +513,15 @@ def report(standing: Standing) -> Report:
 
 
 def headline(standing: Standing) -> str:
-    """Who is first, and where the policy that was given stands."""
+    """The first entry, and the rank of the given policy."""
     ranked = [row for row in standing.entries if row.rank is not None]
     if not ranked:
-        return "Nobody has a score: it takes two rollouts, and room between the random walk and the bound."
+        return "No entry has a score: a score needs two rollouts, and a bound above the random walk."
     first, mine = ranked[0], [row for row in ranked if row.name == standing.own and row.rank != 1]
     gained = without_level(first.score.said(100, " %"))
-    said = f"{first.name} is first: it gains {gained} of what lies between a random walk and the bound"
+    said = f"{first.name} is first: {gained} of the way from a random walk to the bound"
     said += "".join(
-        f"; {row.name} is number {row.rank} of {len(ranked)}, {_half(row.behind)} points behind" for row in mine
+        f"; {row.name} has rank {row.rank} of {len(ranked)}, {_half(row.behind)} points behind" for row in mine
     )
     return f"{said}."
 
@@ -565,7 +571,7 @@ CSV = ("world", "robots", "cells", "bound", "optimum", "entry", "visited", "low"
 
 
 def _lines(standing: Standing) -> Iterator[tuple[object, ...]]:
-    """Fractions of the accessible cells, and of the team."""
+    """Rows of the CSV file: fractions of the accessible cells, and of the team."""
     for played in standing.worlds:
         for name in played.rolled:
             found = played.coverage(name)

@@ -1,4 +1,4 @@
-"""Rollouts of a policy, of a random walk and of plans on the same luck, and the bound that no strategy exceeds."""
+"""Evaluation of a policy against a random walk, plans and the upper bound, with common random numbers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from planner.rollouts.names import of_jax
 from planner.settings import Choices
 from planner.world.world import World
 
-# Rollouts of a policy: on all cores where Python is asked and the policy can be sent to other processes.
+# Rollouts of a policy: in parallel if it is not compiled and can be sent to other processes.
 
 
 def roll_policy(
@@ -41,9 +41,9 @@ def roll_policy(
     processes: int | None = 1,
     progress: ProgressCallback = quiet,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Cells visited, robots lost, steps, int64 `[count]` each, of rollouts 0 .. count - 1 of the seed.
+    """Cells visited, robots lost and steps, int64 `[count]` each, of rollouts 0 .. count - 1 of the seed.
 
-    The same, however many processes it takes (None: one a core). policy: None for a random walk. Raises InputError.
+    They do not depend on `processes` (None: one for each core). policy: None for a random walk. Raises InputError.
     """
     rolled = of_jax("policy")(env, policy, seed, count)
     spans, begun = rolled.spans, time.monotonic()
@@ -57,31 +57,32 @@ def roll_policy(
 
 
 def wanted_for(policy: Any, processes: int | None, tasks: int) -> int:
-    """How many processes to use. Raises UsageError where several are asked for a policy that cannot be sent to them."""
+    """Number of processes to use. Raises UsageError for several if the policy cannot be sent to them."""
     wanted = wanted_processes(processes, tasks)
     if wanted == 1 or can_be_sent(policy):
         return wanted
     if processes is None:
         return 1
     problem = f"{argument('processes', processes)}, but the policy cannot be sent to other processes"
-    raise UsageError(problem, fix="put it into a file that can be imported, or leave it out")
+    raise UsageError(problem, fix="put it into a file that can be imported, or omit the option")
 
 
 def can_be_sent(policy: Any) -> bool:
-    """Whether another process can make it again: no lambda, nor anything of the script or notebook that is run."""
+    """Whether another process can unpickle it: no lambda, and nothing defined in the main script or notebook."""
     try:
+        # Objects of the main script cannot be imported by another process.
         return b"__main__" not in pickle.dumps(policy)
     except Exception:
         return False
 
 
 @dataclass(frozen=True)
-class Beside:
-    """A plan beside the policy.
+class Compared:
+    """A plan that the policy is compared with.
 
     Attributes:
-        coverage: its mean, a fraction of the accessible cells. losses: robots lost.
-        ahead: by how much the policy covers more, on common luck.
+        coverage: mean, a fraction of the accessible cells. losses: robots lost.
+        ahead: the policy's coverage minus the plan's, with common random numbers.
     """
 
     coverage: Estimate
@@ -91,16 +92,16 @@ class Beside:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Judged(Answer):
-    """What a policy is worth on a world.
+    """The evaluation of a policy on a world.
 
     Attributes:
-        starts: int64 `[K, 2]`. cells: accessible ones. max_steps: at which every rollout was cut off.
-        coverage, random: mean visited coverage of the policy and of a random walk (of areas: random areas), fractions
-            of the accessible cells. walk: what that is, in words.
+        starts: int64 `[K, 2]`. cells: number of accessible cells. max_steps: every rollout ends there.
+        coverage, random: mean visited coverage of the policy and of a random walk (for actions on areas: random areas),
+            fractions of the accessible cells. walk: name of the latter.
         losses: robots lost. steps: of a rollout.
-        bound: coverage that no strategy exceeds on average, certified.
-        score: (coverage - random) / (bound - random); None where the two do not differ.
-        plans: by policy, those of the planner on the same luck, ended at the same step.
+        bound: policy-independent upper bound of the mean coverage, certified.
+        score: (coverage - random) / (bound - random); None: the two do not differ.
+        plans: by policy, plans of the planner with the same random numbers and the same last step.
     """
 
     reported_by = "analysis.policy_evaluation.policy_evaluation:report"
@@ -116,7 +117,7 @@ class Judged(Answer):
     random: Estimate
     bound: float
     score: Estimate | None
-    plans: dict[str, Beside]
+    plans: dict[str, Compared]
     walk: str
     partial: bool = False
 
@@ -130,7 +131,7 @@ def judge(
     processes: int | None = None,
     progress: ProgressCallback = quiet,
 ) -> Judged:
-    """Roll out the policy in the environment `env` of the world, and what stands beside it. Raises InputError."""
+    """Evaluate the policy in the environment `env` of the world, and compare it with plans. Raises InputError."""
     count, cells, robots = choices.rollouts, env.accessible, env.num_agents
     plans, until = {}, replace(choices, deadline=env.max_steps)
     asked = {name: Choices(policy=name).settings(world.team.settings, world.pace, by=world.source) for name in against}
@@ -141,7 +142,7 @@ def judge(
     for name, plan in rivals.items():
         found = make_singles(world, plan, until)(0, count)
         ahead = difference(Paired.of(found.visited, visited), 1 / cells, 1 / cells, 1.0).estimate
-        plans[name] = Beside(share_of(found.visited, cells), mean_of(robots - found.alive, robots), ahead)
+        plans[name] = Compared(share_of(found.visited, cells), mean_of(robots - found.alive, robots), ahead)
     scores = scores_of(visited / cells, walked / cells, bound)
     return Judged(
         world, env.starts, cells, env.max_steps, choices, share_of(visited, cells), mean_of(lost, robots),
@@ -151,8 +152,9 @@ def judge(
 
 
 def scores_of(policy: NDArray[np.float64], walk: NDArray[np.float64], bound: float) -> NDArray[np.float64] | None:
-    """(J - J_random) / (bound - J_random) of coverage by rollout `[B]`: its mean is that, and its scatter that of the
-    ratio, by linearisation. None where there is no room above the walk."""
+    """(J - J_random) / (bound - J_random) of coverage by rollout, `[B]`: the mean is the score, and the scatter is that
+    of the ratio, by linearisation (delta method). None if the bound is not above the walk."""
+    # The denominator is estimated too; the linearisation below includes its error.
     room = bound - float(walk.mean())
     if room <= 0 or len(policy) < 2:
         return None
@@ -161,26 +163,26 @@ def scores_of(policy: NDArray[np.float64], walk: NDArray[np.float64], bound: flo
 
 
 def estimate_of(values: NDArray[np.float64]) -> Estimate:
-    """The mean of `[B]` with its interval."""
+    """The mean of `[B]` values with its normal 95 % interval."""
     mean, se = float(values.mean()), float(values.std(ddof=1)) / math.sqrt(len(values))
     return Estimate(mean, se, (mean - Z95 * se, mean + Z95 * se))
 
 
 def share_of(visited: NDArray[Any], cells: int) -> Estimate:
-    """Mean coverage, of cells visited by rollout."""
+    """Mean coverage from the cells visited in each rollout."""
     return mean_estimate(np.bincount(visited, minlength=cells + 1), 1 / cells)
 
 
 def mean_of(values: NDArray[Any], most: int) -> Estimate:
-    """The mean of whole numbers by rollout."""
+    """The mean of an integer in each rollout."""
     return mean_estimate(np.bincount(values, minlength=most + 1), 1.0)
 
 
-# What `mrac.judge` says: what the policy covers, its score, and the planner's policies on common random numbers.
+# The report of `mrac.judge`.
 
 
 def report(judged: Judged) -> Report:
-    """What the policy is worth, between a random walk, or random areas, and the bound."""
+    """The policy's coverage and score between a random walk, or random areas, and the bound."""
     robots = len(judged.starts)
     score = [] if judged.score is None else [KeyFigure(judged.score.columns(100.0)[0] + " %", "score")]
     table = make_table(("", "visited, %", "from .. to", "lost", "policy ahead, points"))
@@ -189,12 +191,12 @@ def report(judged: Judged) -> Report:
         ahead = plan.ahead.said(100)
         table.add_row(name, *plan.coverage.columns(100.0, 100), plan.losses.columns()[0], ahead)
     table.add_row(judged.walk, *judged.random.columns(100.0, 100), "", "")
-    table.add_row("no strategy exceeds", ceiled(judged.bound, unit=""), "proven", "", "")
+    table.add_row("upper bound", ceiled(judged.bound, unit=""), "certified", "", "")
     score_is = f"score: (policy - {judged.walk}) / (bound - {judged.walk})"
-    note = f"{score_is}; all on common random numbers, ended at the same step"
+    note = f"{score_is}; all with common random numbers and the same last step"
     level = "± half the 95 % interval, in brackets its ends"
     return Report(
-        "policy", "judge", asked(judged.world, robots, "what is the policy worth?"), headline(judged),
+        "policy", "judge", asked(judged.world, robots, "how good is the policy?"), headline(judged),
         lambda: _json(judged), figures=[share_figure(judged.coverage, "visited on average"), *score],
         heading=(map_words(judged.world, judged.cells, robots),
                  f"{counted(judged.choices.rollouts, 'rollout')}, seed {judged.choices.seed}, at most "
@@ -204,12 +206,12 @@ def report(judged: Judged) -> Report:
 
 
 def headline(judged: Judged) -> str:
-    """The policy's coverage, the best of the planner's, and the bound."""
+    """Coverage of the policy, of the best plan, and the bound."""
     best = max(judged.plans.items(), key=lambda item: item[1].coverage.mean, default=None)
-    beside = "" if best is None else f"; `{best[0]}`: {percent(best[1].coverage.mean)}"
+    plan = "" if best is None else f"; `{best[0]}`: {percent(best[1].coverage.mean)}"
     said = "a random walk" if judged.walk == "random walk" else judged.walk
     walk, bound, covers = percent(judged.random.mean), ceiled(judged.bound, 1), judged.coverage.said(100, " %")
-    return f"It covers {without_level(covers)}{beside}; {said}: {walk}, no strategy more than {bound}."
+    return f"It covers {without_level(covers)}{plan}; {said}: {walk}, upper bound: {bound}."
 
 
 def _json(judged: Judged) -> Json:

@@ -1,4 +1,4 @@
-"""The MCAP container: logs that survive a crash, written; and read with checks, in bounded memory."""
+"""MCAP logs: a crash-safe writer, a reader with checks in bounded memory, and recovery of damaged files."""
 
 from __future__ import annotations
 
@@ -38,21 +38,20 @@ from planner.mcap import (
     message_bytes,
 )
 
-# The MCAP container, writing side: a log that survives a crash and whose bytes depend on its content alone.
+# Writer: the file survives a crash, and its bytes depend only on its content.
 #
-# Every chunk stands alone: the schemas and channels that its messages use are written again in it, so that a chunk
-# whose checksum is right can be read whatever was lost around it. Everything in the file is under a checksum: chunks
-# and attachments have their own, metadata carries one among its items, and the data and summary sections have one
-# each.
+# Every chunk is self-contained: it repeats the schemas and channels of its messages, so that a chunk with a valid
+# checksum can be read whatever was lost around it. All bytes are under a checksum: chunks and attachments have one
+# each, metadata has one among its items, and so have the data and summary sections.
 
-# The chunk in progress of a log: messages, and before them whatever describes them, so that it can be read alone.
+# The open chunk of a log: messages with their schemas and channels.
 
 
 @dataclass
 class OpenChunk:
-    """Messages waiting to be packed: (log time, the record's bytes, its channel, that one's schema) of each.
+    """Messages of the next chunk: (log time, the record's bytes, its channel, the channel's schema) of each.
 
-    A message comes in by one `append`, so that an interrupt at any time leaves a whole chunk.
+    A message is added by a single `append`, so that an interrupt at any time leaves a consistent chunk.
     """
 
     messages: list[tuple[int, bytes, records.Channel, records.Schema | None]] = field(default_factory=list)
@@ -63,6 +62,7 @@ class OpenChunk:
         schemas: set[int] = set()
         indexes: dict[int, records.MessageIndex] = {}
         for log_time, data, channel, schema in self.messages:
+            # A chunk repeats the schema and channel of its first message of a channel.
             if channel.id not in indexes:
                 if schema and schema.id not in schemas:
                     schema.write(builder)
@@ -82,7 +82,7 @@ class OpenChunk:
 
 @dataclass(frozen=True)
 class Index:
-    """An entry of the summary about a record of the data section; for a chunk, its number of messages by channel."""
+    """A summary entry for a record of the data section; for a chunk, its number of messages by channel."""
 
     record: records.McapRecord
     counts: Mapping[int, int] = field(default_factory=dict)
@@ -91,16 +91,16 @@ class Index:
 def closing(
     start: int, schemas: Sequence[records.Schema], channels: Sequence[records.Channel], indexes: Sequence[Index]
 ) -> bytes:
-    """Everything after the data section, which ends at offset `start` of the file."""
+    """All bytes after the data section, which ends at offset `start` of the file."""
     counted = statistics(len(schemas), len(channels), indexes)
     groups = sorted((bytes_of(one.record) for one in indexes), key=_opcode)
-    told = [*map(bytes_of, (*schemas, *channels, counted)), *groups]
+    summary = [*map(bytes_of, (*schemas, *channels, counted)), *groups]
     offsets, at = [], start
-    for opcode, group in groupby(told, _opcode):
+    for opcode, group in groupby(summary, _opcode):
         length = sum(map(len, group))
         offsets.append(bytes_of(records.SummaryOffset(opcode, at, length)))
         at += length
-    data = b"".join((*told, *offsets))
+    data = b"".join((*summary, *offsets))
     head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, at)
     return data + bytes_of(records.Footer(start, at, zlib.crc32(head, zlib.crc32(data)))) + MAGIC
 
@@ -110,7 +110,7 @@ def _opcode(record: bytes) -> Opcode:
 
 
 def statistics(schemas: int, channels: int, indexes: Sequence[Index]) -> records.Statistics:
-    """The counts of a whole log."""
+    """The counts of a complete log."""
     chunks = [index.record for index in indexes if isinstance(index.record, records.ChunkIndex)]
     kinds = Counter(type(index.record) for index in indexes)
     counts: Counter[int] = Counter()
@@ -131,22 +131,22 @@ def statistics(schemas: int, channels: int, indexes: Sequence[Index]) -> records
 
 LIBRARY = "mrac-jax"
 CHUNK_SIZE = 2**22
-"""A chunk is closed once it holds this many bytes before compression: what a crash can lose, some 200 steps. In larger
-ones repeated grids take less room."""
+"""Bytes before compression at which a chunk is closed: a crash loses at most one chunk, some 200 steps. Larger chunks
+compress repeated grids better."""
 MAX_IDS = 2**16 - 1
 PARTIAL, RECOVERED = "mrac/partial", "mrac/recovered"
-"""Names of the metadata records of a log that was cut short, and of one that `recover` wrote."""
+"""Names of the metadata records of an interrupted log, and of one that `recover` wrote."""
 INTERRUPTED = "interrupted"
-"""Reason of a log that Ctrl-C cut short."""
+"""Reason of a log that Ctrl-C interrupted."""
 _LEVEL = 3
 
 
 @dataclass(frozen=True)
 class LogSchema:
-    """What a channel's messages are: schema (name, encoding, its text or bytes) and the encoding of the messages.
+    """Type of a channel's messages: schema (name, encoding, text or bytes) and the encoding of the messages.
 
-    Known pairs of encodings: `protobuf`/`protobuf`, `ros2msg`/`cdr`, `jsonschema`/`json`. No schema: all of the first
-    three empty.
+    Known pairs of encodings: `protobuf`/`protobuf`, `ros2msg`/`cdr`, `jsonschema`/`json`. No schema: the first three
+    are empty.
     """
 
     name: str
@@ -157,7 +157,7 @@ class LogSchema:
 
 @dataclass(frozen=True)
 class _Written:
-    """How far the file has come: bytes, their CRC-32, entries of the summary, and the chunk that is next."""
+    """State of the written file: bytes, their CRC-32, entries of the summary, and the next chunk."""
 
     offset: int
     crc: int
@@ -168,24 +168,23 @@ class _Written:
 class LogWriter:
     """Writes a log, as a context manager: `with LogWriter(path) as log: ...`.
 
-    The file grows as `NAME.partial` beside the target and takes its place, atomically, at the end of the block. When
-    the block raises (Ctrl-C too), the log is finished as well: valid, holding all that was written, and marked by a
-    metadata record `mrac/partial` {"reason"}; where a file of the target's name exists, that one stays and the log
-    becomes `NAME.interrupted.mcap`. A killed process leaves `NAME.partial`, complete up to the last closed chunk, for
-    `recover`.
+    The file grows as `NAME.partial` next to the target and replaces it atomically at the end of the block. If the block
+    raises (also Ctrl-C), the log is closed too: valid, with all messages so far, and marked by a metadata record
+    `mrac/partial` {"reason"}; if the target exists, it is kept and the log becomes `NAME.interrupted.mcap`. A killed
+    process leaves `NAME.partial`, complete up to the last closed chunk, for `recover`.
 
     Args:
-        path: the target; an older file there is replaced at the end, but never by a log that is cut short.
-        chunk_size: bytes of messages a chunk.
+        path: the target; an existing file is replaced at the end, but never by an interrupted log.
+        chunk_size: bytes of messages in a chunk.
         ordered: whether log times must not decrease (ValueError if they do).
-        suffix: what the growing file's name ends with.
-        discard: whether a block that raises leaves nothing, instead of a log that is cut short; can be set on the way.
+        suffix: of the growing file.
+        discard: whether a block that raises leaves no file; can be changed meanwhile.
 
     Attributes:
-        placed: the name that the finished log got; None before.
+        placed: the name of the finished log; None before.
 
     Raises:
-        UsageError: on entry, `NAME.partial` is there: left from an earlier run, or written by another one.
+        UsageError: on entry, if `NAME.partial` exists: from an earlier run, or of another process.
         InputError: the target cannot be written, on entry and on every write.
     """
 
@@ -215,7 +214,7 @@ class LogWriter:
     def __enter__(self) -> LogWriter:
         if self.path.is_dir():
             raise InputError("is a folder", source=self.path, expected="the name of a file to write")
-        with self._told():
+        with self._os_errors():
             try:
                 self._stream: BinaryIO = self.partial.open("xb")
             except FileExistsError:
@@ -232,7 +231,7 @@ class LogWriter:
                     self._finish(self.path)
                 except InputError as unfinished:
                     error = unfinished
-                except KeyboardInterrupt:  # all is there: it ends the run once the file is whole
+                except KeyboardInterrupt:  # the block is done: finish the file, then end the run
                     if not self._stream.closed:
                         self._take_back()
                     self._finish(self.path)
@@ -240,7 +239,7 @@ class LogWriter:
             elif self.discard:
                 self.partial.unlink(missing_ok=True)
             else:
-                with contextlib.suppress(InputError):  # the first error is the one to tell; NAME.partial stays
+                with contextlib.suppress(InputError):  # report the first error; NAME.partial stays
                     self._take_back()
                     reason = f"{kind.__name__}: {error}".rstrip(": ")
                     self.metadata(PARTIAL, {"reason": INTERRUPTED if kind is KeyboardInterrupt else reason})
@@ -250,11 +249,11 @@ class LogWriter:
                 self._stream.close()
         left = self.partial.exists()
         if isinstance(error, InputError) and self.placed is None and (left or kind is None):
-            fix = f"{self.partial} holds what was written so far: {how_to_clear(self.partial)}" if left else ""
+            fix = f"{self.partial} holds the data written so far: {how_to_clear(self.partial)}" if left else ""
             raise InputError(error.problem, source=error.source, expected=error.expected, fix=fix) from error
 
     def channel(self, topic: str, schema: LogSchema, metadata: Mapping[str, str] | None = None) -> int:
-        """The id of a channel; the same arguments give the same id. Nothing is written until its first message."""
+        """The id of a channel; equal arguments give the same id. Nothing is written until its first message."""
         items, known = dict(metadata or {}), None
         if schema.name or schema.encoding or schema.data:
             new_schema = records.Schema(len(self._schemas) + 1, schema.data, schema.encoding, schema.name)
@@ -272,10 +271,10 @@ class LogWriter:
     def write(
         self, channel: int, log_time: int, data: bytes, sequence: int | None = None, publish_time: int | None = None
     ) -> None:
-        """One message.
+        """Write one message.
 
         Args:
-            channel: id that `channel` gave.
+            channel: id from `channel`.
             log_time: nanoseconds from 0.
             data: the encoded message.
             sequence: its number; by default the count of the channel's messages before it.
@@ -285,8 +284,10 @@ class LogWriter:
             raise ValueError(f"log time {log_time} after {self._last_time}: messages are written in order")
         if len(data) > MAX_CHUNK // 2:
             raise ValueError(f"a message of {len(data)} bytes; at most {MAX_CHUNK // 2} fit")
+        # Readers limit the size of a chunk.
         if self._waiting + len(data) > MAX_CHUNK // 2:
             self.flush()
+        # By default consumers can detect gaps.
         number = self._counts[channel] if sequence is None else sequence
         published = log_time if publish_time is None else publish_time
         record = message_bytes(channel, number, log_time, published, data)
@@ -298,19 +299,19 @@ class LogWriter:
             self.flush()
 
     def attach(self, name: str, media_type: str, data: bytes, log_time: int = 0, create_time: int = 0) -> None:
-        """An attachment, written at once. A name is a name, never a path that somebody should write to."""
+        """Write an attachment at once. The name is only a label, never a path to write to."""
         record = bytes_of(records.Attachment(create_time, log_time, name, media_type, data))
         about = (len(record), log_time, create_time, len(data), name, media_type)
         self._put(record, Index(records.AttachmentIndex(self._written.offset, *about)))
 
     def metadata(self, name: str, items: Mapping[str, str]) -> None:
-        """A metadata record, written at once, with its checksum as one more item."""
+        """Write a metadata record at once, with its checksum as an additional item."""
         record = bytes_of(records.Metadata(name, {**items, CHECK: check_of(name, items)}))
         index = records.MetadataIndex(self._written.offset, len(record), name)
         self._put(record, Index(index))
 
     def flush(self) -> None:
-        """Close the chunk in progress, if it holds messages, and hand it to the operating system."""
+        """Close the open chunk, if it has messages, and pass it to the operating system."""
         if not self._written.chunk.messages:
             return
         chunk, message_indexes = self._written.chunk.close(self._compressor)
@@ -331,63 +332,67 @@ class LogWriter:
             uncompressed_size=chunk.uncompressed_size,
         )
         counts = {index.channel_id: len(index.records) for index in message_indexes}
+        # The chunk and its indexes are written together.
         self._put(b"".join(parts), Index(chunk_index, counts), OpenChunk())
         self._waiting = 0
 
     def _finish(self, target: Path) -> None:
-        """The last chunk, the summary and the footer; then the file takes its place. Goes on if interrupted."""
-        with self._told():
+        """Write the last chunk, the summary and the footer, and rename the file. Can be called again if interrupted."""
+        with self._os_errors():
             if not self._stream.closed:
                 self.flush()
                 end = bytes_of(records.DataEnd(self._written.crc))
                 schemas, channels = [*self._schemas.values()], [*self._channels.values()]
                 self._stream.write(end + closing(self._written.offset + len(end), schemas, channels, self._indexes))
                 self._stream.flush()
+                # Data must be on disk before the rename makes them the target.
                 os.fsync(self._stream.fileno())
                 self._stream.close()
+            # After an interrupt the file may already have its final name.
             if self.partial.exists():
                 self.partial.replace(target)
             self.placed = target
 
     def _put(self, data: bytes, index: Index | None = None, chunk: OpenChunk | None = None) -> None:
-        """Write bytes with their index; `chunk` is the one that grows from then on, if that changes.
+        """Write bytes with their index; `chunk` replaces the open chunk, if given.
 
-        Only the assignment at the end makes it count, so an interrupt at any time can be taken back.
+        Only the assignment at the end commits the write, so an interrupt at any time can be undone.
         """
         before = self._written
-        with self._told():
+        with self._os_errors():
             self._stream.write(data)
             self._stream.flush()
         if index:
             self._indexes.append(index)
         checksum = zlib.crc32(data, before.crc)
+        # A single assignment commits the write, so an interrupt cannot leave a mixed state.
         self._written = _Written(before.offset + len(data), checksum, len(self._indexes), chunk or before.chunk)
 
     def _take_back(self) -> None:
-        """Forget what was being written when an interrupt came."""
-        with self._told():
+        """Undo the write that an interrupt stopped."""
+        with self._os_errors():
             self._stream.seek(self._written.offset)
             self._stream.truncate()
         del self._indexes[self._written.indexes :]
 
     @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
-        """An operating system's refusal as an InputError that names the target."""
+    def _os_errors(self) -> Iterator[None]:
+        """Turn errors of the operating system into InputErrors that name the target."""
         try:
             yield
         except OSError as error:
             raise InputError(f"cannot be written ({error.strerror})", source=self.path) from error
 
 
-# MCAP logs read with checks: a whole file or a clear error, in bounded memory, whatever the file claims.
+# Reader: a complete file or a clear error, in bounded memory, whatever lengths the file claims.
 
 MAX_EXTRAS = 10_000
-"""Most attachments, and most metadata records, that a log may have."""
+"""Largest number of attachments, and of metadata records, in a log."""
 
 
 @dataclass(frozen=True)
 class Summary:
-    """The end of a log: where it begins, whether it has a checksum, the counts, schemas and channels."""
+    """The end of a log: its offset, whether it has a checksum, the counts, schemas and channels."""
 
     start: int
     checked: bool
@@ -396,7 +401,7 @@ class Summary:
 
 
 def read_summary(data: memoryview) -> Summary:
-    """The summary of a whole file, its checksum looked at. Raises Damaged."""
+    """The summary of a complete file, with its checksum verified. Raises Damaged."""
     end, size = data[-wire.FOOTER_SIZE :], len(data)
     if len(end) < wire.FOOTER_SIZE or end[-len(wire.MAGIC) :] != wire.MAGIC:
         raise Damaged("the end is missing")
@@ -406,6 +411,7 @@ def read_summary(data: memoryview) -> Summary:
     start = footer.summary_start or size - wire.FOOTER_SIZE
     if not len(wire.MAGIC) <= start <= size - wire.FOOTER_SIZE:
         raise Damaged("the footer points outside the file")
+    # A checksum of 0 means "not computed" in MCAP.
     if footer.summary_crc not in (0, zlib.crc32(data[start : size - wire.AFTER_SUMMARY_CRC])):
         raise Damaged("the summary has a wrong checksum")
     statistics, described = None, Descriptions()
@@ -417,15 +423,15 @@ def read_summary(data: memoryview) -> Summary:
 
 
 class Log:
-    """An open log, checked from end to end but for the insides of its chunks, which are checked as they are read.
+    """An open log. All is checked except the content of its chunks, which is checked when it is read.
 
     Attributes:
         path: the file.
-        library: what wrote it.
-        channels, schemas: by id, as the summary lists them.
+        library: the program that wrote it.
+        channels, schemas: by id, from the summary.
         attachments: in the file's order.
         metadata: (name, items) in the file's order, without checksums.
-        partial: why it is not the whole log ("" when it is).
+        partial: why it is incomplete ("" if it is complete).
     """
 
     def __init__(self, path: Path, data: memoryview) -> None:
@@ -442,16 +448,16 @@ class Log:
         self.partial = "; ".join(reasons)
 
     def attachment(self, name: str) -> bytes:
-        """The first attachment of that name. Raises InputError when there is none."""
+        """The first attachment of that name. Raises InputError if there is none."""
         for attached in self.attachments:
             if attached.name == name:
                 return attached.data
         raise InputError(f"has no attachment {name!r}", source=self.path)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[LogMessage]:
-        """The messages in the order of their log times, and of the file where these are equal.
+        """The messages in order of log time, and in the file's order for equal times.
 
-        `topics`: only these; None for all. Raises InputError at the first chunk that is damaged.
+        `topics`: only these; None for all. Raises InputError at the first damaged chunk.
         """
         try:
             section = self._data[len(wire.MAGIC) : self._data_end]
@@ -462,7 +468,7 @@ class Log:
             raise wire.refusal(self.path, str(error), self._data) from error
 
     def _read_data_section(self) -> None:
-        """Every record's length, attachments and metadata, and the checksum of all of it."""
+        """Check the length of every record and the checksum of the section; read attachments and metadata."""
         finished, metadata_bytes, first = False, 0, len(wire.MAGIC)
         for at, opcode, body in wire.records_in(self._data[first : self._data_end]):
             if finished or (at == 0) != (opcode == Opcode.HEADER):
@@ -488,10 +494,10 @@ class Log:
 
 
 def open_log(path: str | Path) -> Log:
-    """Open an MCAP log and check it: sections' checksums, every record's length, attachments and metadata.
+    """Open an MCAP log and check it: checksums of sections, lengths of records, attachments and metadata.
 
     Raises:
-        InputError: no such file, not an MCAP file, or one that is truncated or damaged (then it names `recover`).
+        InputError: no such file, not an MCAP file, or a truncated or damaged one (the fix is `recover`).
     """
     path = Path(path)
     data = wire.mapped(path)
@@ -501,10 +507,10 @@ def open_log(path: str | Path) -> Log:
         raise wire.refusal(path, str(error), data) from error
 
 
-# What is intact in a damaged MCAP file: records found by their own checksums, wherever they stand.
+# Recovery: intact records of a damaged MCAP file are found by their own checksums, at any offset.
 #
-# A chunk, an attachment or a metadata record counts when its length, the lengths in it and its checksum all agree; one
-# without a checksum does not. The time is linear in the file's size: what a false start costs is counted, and limited.
+# A chunk, attachment or metadata record is intact if its length, its inner lengths and its checksum agree; records
+# without a checksum are not. The time is linear in the file's size: the cost of false starts is counted and limited.
 
 VALUED = {Opcode.CHUNK: "chunk", Opcode.ATTACHMENT: "attachment", Opcode.METADATA: "metadata"}
 _SIGNS = re.compile(
@@ -513,14 +519,14 @@ _SIGNS = re.compile(
     rb"|\x0c(?=.{5}\x00{3}.{2}\x00\x00)",
     re.DOTALL,
 )
-"""Where such a record may begin: its opcode, a length below 2**40, a known compression or a name below 2**16 bytes."""
+"""Possible start of such a record: opcode, length below 2**40, known compression or a name below 2**16 bytes."""
 _LEAST_WORK, _WORK = 2**30, 32
-"""Bytes of false starts that are gone through, and more of them for each byte of the file."""
+"""Limit of bytes in false starts: a constant, plus a multiple of the file's size."""
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Bytes `[start, end)` of the file: a chunk's unpacked records, another record, or a word for what is lost."""
+    """Bytes `[start, end)` of the file: a chunk's unpacked records, another record, or a text for a lost part."""
 
     start: int
     end: int
@@ -528,7 +534,7 @@ class Piece:
 
 
 def pieces(data: memoryview) -> Iterator[Piece]:
-    """All that is intact from the header on, in order, and between it what is lost."""
+    """All intact records after the header, in order, and the lost parts between them."""
     at, work = len(MAGIC), _LEAST_WORK + _WORK * len(data)
     for sign in _SIGNS.finditer(data, at):
         start = sign.start()
@@ -541,6 +547,7 @@ def pieces(data: memoryview) -> Iterator[Piece]:
         try:
             found = _intact(opcode, data[start + HEAD.size : end]) if end <= len(data) else None
         except Damaged as error:
+            # Bound the cost of false starts, so that the time stays linear.
             work -= error.work
             continue
         if found is not None:
@@ -551,7 +558,7 @@ def pieces(data: memoryview) -> Iterator[Piece]:
 
 
 def _intact(opcode: int, body: memoryview) -> bytes | records.Attachment | records.Metadata | None:
-    """What a record holds; None where no checksum vouches for it. Raises Damaged where that is wrong."""
+    """The content of a record; None if it has no checksum. Raises Damaged for a wrong checksum."""
     if opcode == Opcode.CHUNK:
         chunk = wire.parsed(records.Chunk, body)
         return wire.unpacked(chunk) if chunk.uncompressed_crc else None
@@ -562,17 +569,18 @@ def _intact(opcode: int, body: memoryview) -> bytes | records.Attachment | recor
 
 
 def _lost(data: memoryview, at: int, end: int) -> Iterator[Piece]:
-    """What stood in `[at, end)`, where nothing is intact; nothing if it is records that hold nothing of their own."""
+    """The lost part `[at, end)`, if any; records without content of their own are skipped."""
+    # Message indexes follow from their chunk, so their loss loses nothing.
     while length := _idle(data[at:end]):
         at += length
-    finished = data[at : at + HEAD.size] == HEAD.pack(Opcode.DATA_END, 4)  # then the data section is all there
+    finished = data[at : at + HEAD.size] == HEAD.pack(Opcode.DATA_END, 4)  # then the data section is complete
     if not (finished and at + HEAD.size + 4 <= end) and (at < end or end == len(data)):
-        word = "the end of the file, whatever stood there" if end == len(data) else "bytes that make no sense"
+        word = "the end of the file" if end == len(data) else "unreadable bytes"
         yield Piece(at, end, VALUED.get(data[at], word) if at < end else word)
 
 
 def _idle(data: memoryview) -> int:
-    """How long the header or message index at the start of `data` is; 0 if there is none whose lengths agree."""
+    """Length of the header or message index at the start of `data`; 0 if there is none with consistent lengths."""
     with contextlib.suppress(Damaged):
         _, opcode, body = next(wire.records_in(data), (0, 0, data))
         if opcode == Opcode.MESSAGE_INDEX and len(body) == 6 + int.from_bytes(body[2:6], "little"):
@@ -582,12 +590,12 @@ def _idle(data: memoryview) -> int:
     return 0
 
 
-# A damaged or cut log made whole: everything that is intact, in a valid file, and a list of what is lost.
+# Recovery of a log: all intact records in a valid file, and a list of the lost parts.
 
 
 @dataclass(frozen=True)
 class Lost:
-    """Something that could not be saved: what it was, and the bytes `[start, end)` of the damaged file it stood in."""
+    """A lost part: its kind, and its bytes `[start, end)` in the damaged file."""
 
     what: str
     start: int
@@ -601,14 +609,14 @@ class Lost:
 
 @dataclass
 class Recovered:
-    """What `recover` saved and lost.
+    """The result of `recover`.
 
     Attributes:
-        source, out: the damaged file and the one that was written.
-        chunks, messages: how many were saved.
-        attachments, metadata: names of those that were saved, in the file's order.
-        lost: what was not saved, as far as it can be told.
-        lost_messages: messages not saved; None when the summary, which tells their number, is damaged too.
+        source, out: the damaged and the new file.
+        chunks, messages: numbers saved.
+        attachments, metadata: names of those saved, in the file's order.
+        lost: known losses.
+        lost_messages: number of lost messages; None if the summary, which has the total, is damaged too.
     """
 
     source: Path
@@ -622,19 +630,19 @@ class Recovered:
 
     @property
     def complete(self) -> bool:
-        """Whether everything that the file held was saved."""
+        """Whether the whole content of the file was saved."""
         return not self.lost and not self.lost_messages
 
 
 def recover(path: str | Path, out: str | Path) -> Recovered:
-    """Write everything that is intact in `path` to `out`, atomically; `path` itself is only read.
+    """Write all intact records of `path` to `out`, atomically; `path` is only read.
 
-    Guarantee: every chunk, attachment and metadata record that is as it was written, by its checksum, is saved, and
-    nothing else. Cost: linear in the file's size (unpacked), memory of one chunk.
+    Guarantee: all chunks, attachments and metadata records with a valid checksum are saved, and nothing else. Cost:
+    linear in the file's (unpacked) size; memory of one chunk.
 
     Raises:
-        UsageError: `out` is the damaged file itself.
-        InputError: the file cannot be read, nothing in it can be saved, or `out` cannot be written.
+        UsageError: `out` is the damaged file.
+        InputError: the file cannot be read, has no intact record, or `out` cannot be written.
     """
     path, out = Path(path), Path(out)
     data = wire.mapped(path)
@@ -655,7 +663,7 @@ def recover(path: str | Path, out: str | Path) -> Recovered:
 
 
 def _save(data: memoryview, writer: LogWriter, report: Recovered) -> None:
-    """Write what is intact, and keep the account."""
+    """Write the intact records, and update the report."""
     summary = _summary(data)
     described = summary.described
     for number in sorted(described.channels):
@@ -676,18 +684,18 @@ def _save(data: memoryview, writer: LogWriter, report: Recovered) -> None:
                 report.lost.append(Lost(piece.found, piece.start, piece.end))
         except InputError:  # the copy cannot be written
             raise
-        except ValueError as error:  # Damaged, or more than a log may have
+        except ValueError as error:  # Damaged, or above a limit of logs
             report.lost.append(Lost(str(error), piece.start, piece.end))
     counts = summary.statistics
     if counts is not None:
         report.lost_messages = max(0, counts.message_count - report.messages)
-        told = (counts.message_count, counts.chunk_count, counts.attachment_count, counts.metadata_count)
-        if told == (report.messages, report.chunks, len(report.attachments), len(report.metadata)):
-            report.lost = []  # what makes no sense held nothing
+        counted = (counts.message_count, counts.chunk_count, counts.attachment_count, counts.metadata_count)
+        if counted == (report.messages, report.chunks, len(report.attachments), len(report.metadata)):
+            report.lost = []  # unreadable bytes had no content
 
 
 def _summary(data: memoryview) -> Summary:
-    """The summary, if a checksum vouches for it; else an empty one."""
+    """The summary if its checksum is valid, else an empty one."""
     try:
         found = read_summary(data)
     except Damaged:
@@ -696,7 +704,8 @@ def _summary(data: memoryview) -> Summary:
 
 
 def _save_chunk(data: memoryview, writer: LogWriter, described: Descriptions) -> int:
-    """Write the messages of a chunk; returns how many. Before that all are looked at, and nothing is on Damaged."""
+    """Write the messages of a chunk and return their number. All are checked first: nothing is written on Damaged."""
+    # A first pass checks all messages before any is written.
     count = sum(1 for _ in described.messages(wire.records_in(data)))
     for message in described.messages(wire.records_in(data)):
         channel = _channel(writer, message.channel, described)
@@ -706,7 +715,7 @@ def _save_chunk(data: memoryview, writer: LogWriter, described: Descriptions) ->
 
 
 def _channel(writer: LogWriter, channel: records.Channel, described: Descriptions) -> int:
-    """The id to write a channel's messages under."""
+    """The id in the new file for a channel."""
     schema = described.schemas.get(channel.schema_id)
     name, encoding, data = (schema.name, schema.encoding, schema.data) if schema else ("", "", b"")
     return writer.channel(channel.topic, LogSchema(name, encoding, data, channel.message_encoding), channel.metadata)

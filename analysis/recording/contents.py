@@ -1,4 +1,4 @@
-"""What a recording says about itself: attachments and metadata, written and read back with checks."""
+"""Attachments and metadata of a recording, written and read with checks."""
 
 from __future__ import annotations
 
@@ -32,33 +32,33 @@ FORMAT, VERSION = "mrac-recording", 2
 METADATA = "mrac-jax"
 _TOLD = ("format", "version", "mrac_jax", "loop", "luck", "threat_checks", "seed", "ids", "evaluated",
          "step_seconds")  # fmt: skip
-"""Settings that the metadata record tells too."""
+"""Settings that are also in the metadata record."""
 WORLD, PLAN, SETTINGS, TALLY, TALLY_CELLS = "world.npz", "plan.json", "settings.json", "tally.json", "tally-cells.npz"
 BOUNDS, SCENARIO, LAYOUT = "bounds.json", "scenario.yaml", "layout.json"
 AXES = Tally.axes()
-"""Counts of a tally with one number a cell go into `tally-cells.npz`."""
+"""Counts of a tally with one number for each cell go into `tally-cells.npz`."""
 MOST_RECORDED = 10_000
-"""Rollouts in full in one file."""
+"""Largest number of rollouts in full in one file."""
 STEP_SECONDS = (1e-6, 500.0)
-"""Least and most seconds a step: the longest rollout stays below the 2**31 s of a ROS time."""
+"""Limits of seconds per step: the longest rollout stays below the 2**31 s of a ROS time."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What was recorded, and how: everything besides world and plan that the messages depend on.
+    """Settings of a recording: everything that messages depend on, except world and plan.
 
     Attributes:
         mrac_jax: version of the program that wrote it.
         loop: "closed" or "open". threat_checks: "every_visit" or "first_visit". seed: of the rollouts.
-        ids: the rollouts in full, in their order in the file.
-        picks: which of them answers which `--pick`.
-        evaluated: rollouts of the tally, ids from 0; 0: it holds the rollouts in full alone.
+        ids: the rollouts in full, in the file's order.
+        picks: the rollout selected by each `--pick`.
+        evaluated: rollouts of the tally, ids from 0; 0: only the rollouts in full.
         outcomes: whether every evaluated rollout's outcome is in the file.
         step_seconds: time of a step.
-        plan: "made": by the planner, of the world and the plan's settings; "given": from a plan file.
+        plan: "made": by the planner, from the world and the plan's settings; "given": from a plan file.
         version: of the format. Drawn topics differ between versions, data topics do not.
-        per_visit: whether a random number for each visit said which robots were lost, as in files before 0.3, which
-            say nothing of it; they are read and not replayed.
+        per_visit: whether random numbers for each visit decided losses, as in files before 0.3, which do not state it;
+            such files are read but not replayed.
     """
 
     loop: Literal["closed", "open"]
@@ -91,19 +91,19 @@ def json_bytes(value: object) -> bytes:
 
 
 def plan_bytes(plan: Plan) -> bytes:
-    """The plan file of SPEC section 9."""
+    """The plan file (docs/spec.md section 9)."""
     return json.dumps(plan.to_json(), separators=(",", ":")).encode() + b"\n"
 
 
 def bounds_bytes(bounds: Bounds) -> bytes:
-    """Every formula, by the names of `analysis.theory.bounds.Bounds`; what is undefined is null."""
+    """All formulas, by the names of `analysis.theory.bounds.Bounds`; undefined values are null."""
     return json_bytes(as_json(asdict(bounds)))
 
 
 def tally_bytes(tally: Tally, deadline: bool = False) -> tuple[bytes, bytes]:
-    """(JSON, NumPy archive) of a tally: what was rolled out, ids and histograms; the counts of each cell.
+    """(JSON, NumPy archive) of a tally: key, ids and histograms; and the counts by cell.
 
-    `deadline`: whether it is what cuts runs off.
+    `deadline`: whether the deadline, not the step limit, ends rollouts.
     """
     counts = tally.counts()
     said = {
@@ -136,7 +136,7 @@ def read_tally(text: bytes, cells: bytes, source: str) -> Tally:
     except InputError:
         raise
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, RecursionError) as error:
-        raise InputError(f"{TALLY}: no tally ({_short(error)})", source=source) from error
+        raise InputError(f"{TALLY}: not a tally ({_short(error)})", source=source) from error
 
 
 def read_world(data: bytes, source: str) -> World:
@@ -158,7 +158,7 @@ def read_settings(data: bytes, source: str) -> Settings:
     where = f"{source} ({SETTINGS})"
     given = read_json(data, where)
     if not isinstance(given, dict) or given.get("format") != FORMAT:
-        raise InputError("is no recording of mrac-jax", source=where, expected=f'"format": "{FORMAT}"')
+        raise InputError("is not a recording of mrac-jax", source=where, expected=f'"format": "{FORMAT}"')
     if not is_whole(given.get("version"), 1, VERSION):
         problem = f"recording version {given.get('version')!r}"[:80]
         raise InputError(problem, source=where, expected=f"1 to {VERSION}", fix="read it with a newer mrac-jax")
@@ -175,11 +175,12 @@ def read_settings(data: bytes, source: str) -> Settings:
         "mrac_jax": lambda v: isinstance(v, str),
         "luck": lambda v: v in ("tolerance", "step"),
     }
+    # Files before 0.3 lack the key.
     given.setdefault("luck", "step")
     for name, is_right in kinds.items():
         if name not in given or not is_right(given[name]):
             problem = f"{name} is {_short(repr(given.get(name)))}"
-            raise InputError(problem, source=where, expected="a value that record wrote")
+            raise InputError(problem, source=where, expected="a value as `record` writes it")
     values = {name: given[name] for name in (*kinds, "version") if name != "luck"}
     values["ids"], values["step_seconds"] = tuple(given["ids"]), float(given["step_seconds"])
     return Settings(**values, per_visit=given["luck"] == "step")
@@ -190,11 +191,11 @@ def read_json(data: bytes, source: str) -> Any:
     try:
         return json.loads(data)
     except (ValueError, RecursionError, MemoryError) as error:
-        raise InputError(f"no JSON ({_short(error)})", source=source) from None
+        raise InputError(f"invalid JSON ({_short(error)})", source=source) from None
 
 
 def metadata_of(settings: Settings, world: World, robots: int) -> dict[str, str]:
-    """The metadata record: the settings as text, for tools that show it."""
+    """The metadata record: the settings as text, for tools that display it."""
     ids = [str(one) for one in settings.ids]
     said = settings.to_json() | {"ids": ",".join(ids if len(ids) <= 1000 else [*ids[:1000], "..."])}
     return {name: str(said[name]) for name in _TOLD} | {
@@ -213,23 +214,23 @@ def _short(error: object) -> str:
     return " ".join(str(error).split())[:120]
 
 
-# Recordings read back into arrays: every rollout in full as a trace, and the outcomes of all evaluated ones.
+# Readers: every rollout in full as a trace, and the outcomes of all evaluated ones.
 
 MOST_VALUES, MOST_EVENTS = 2**25, 2**22
-"""Most numbers of one rollout's steps (steps x robots), and most events, that are read."""
+"""Limits of the numbers of one rollout's steps (steps x robots), and of its events, when reading."""
 MOST_OUTCOMES = 2**27
-"""Most outcomes that are read."""
+"""Limit of outcomes when reading."""
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedRollout:
-    """A rollout as it was recorded. Axis letters: `T` = time + 1 steps, `K` robots.
+    """A recorded rollout. Axis letters: `T` = time + 1 steps, `K` robots.
 
     Attributes:
-        trace: the rollout, equal to what the engine made.
+        trace: the rollout, equal to the engine's trace.
         times: int64 `[T]`, nanoseconds of each step in the file.
         visited, survived, alive, unassigned: int64 `[T]`, at the end of each step: cells so far, robots, areas.
-        loop: "closed" or "open". seed: of the rollouts. shape: (H, W). accessible: cells that count.
+        loop: "closed" or "open". seed: of the rollouts. shape: (H, W). accessible: number of accessible cells.
     """
 
     trace: Trace
@@ -246,7 +247,7 @@ class RecordedRollout:
 
 @dataclass(frozen=True, eq=False)
 class RecordedOutcomes:
-    """What every evaluated rollout came to, in order of ids. Axis `B` = rollouts.
+    """The results of all evaluated rollouts, in order of ids. Axis `B` = rollouts.
 
     Attributes:
         ids: int64 `[B]`. visited, survived: int32 `[B]`, cells. time: int32 `[B]`, steps. alive: int32 `[B]`.
@@ -262,9 +263,9 @@ class RecordedOutcomes:
 
 
 def read_rollouts(path: str | Path) -> Iterator[RecordedRollout]:
-    """The rollouts of a recording, one after the other; one is held at a time.
+    """The rollouts of a recording, one after the other; one is in memory at a time.
 
-    Of a partial or recovered recording, rollouts that are not all there are left out. Raises InputError.
+    Incomplete rollouts of a partial or recovered recording are omitted. Raises InputError.
     """
     return rollouts_of(open_log(path))
 
@@ -284,25 +285,26 @@ def rollouts_of(log: Log) -> Iterator[RecordedRollout]:
                 broken(f"rollout {collected.start.rollout} has no end")
             collected = _Collected(decoded, log.path)
         elif collected is None or not collected.add(message, decoded):
-            broken(f"{message.topic}: not of a rollout that has begun")
+            broken(f"{message.topic}: belongs to no rollout that has begun")
             collected = None
         elif message.topic == "/rollout/end":
+            # Only a rollout with all its steps is returned.
             if decoded.time + 1 == len(collected.steps):
                 yield collected.finish(decoded)
             else:
-                broken(f"rollout {decoded.rollout} is not all there")
+                broken(f"rollout {decoded.rollout} is incomplete")
             collected = None
     if collected is not None:
         broken(f"rollout {collected.start.rollout} has no end")
 
 
 def read_outcomes(path: str | Path) -> RecordedOutcomes:
-    """Every outcome that `record --outcomes` wrote, none if it did not. Raises InputError."""
+    """All outcomes that `record --outcomes` wrote, none without that option. Raises InputError."""
     return outcomes_of_log(open_log(path))
 
 
 def outcomes_of_log(log: Log) -> RecordedOutcomes:
-    """`read_outcomes` of an open log. Memory: 25 bytes a rollout."""
+    """`read_outcomes` of an open log. Memory: 25 bytes for each rollout."""
     kinds = {"visited": np.int32, "survived": np.int32, "time": np.int32, "alive": np.int32, "outcome": np.int8}
     ids, columns = [np.zeros(0, dtype=np.int64)], {name: [np.zeros(0, dtype=kind)] for name, kind in kinds.items()}
     last = -1
@@ -322,7 +324,7 @@ def outcomes_of_log(log: Log) -> RecordedOutcomes:
 
 
 def decode(message: LogMessage, source: Path) -> Any:
-    """One of the project's own messages. Raises InputError if it is none."""
+    """One of the project's own messages. Raises InputError for other messages."""
     kind = OWN[message.topic]
     name = None if message.schema is None else message.schema.name
     if name != kind.DESCRIPTOR.full_name or message.channel.message_encoding != "protobuf":
@@ -330,7 +332,7 @@ def decode(message: LogMessage, source: Path) -> Any:
     try:
         return kind.FromString(bytes(message.data))
     except DecodeError as error:
-        raise InputError(f"{message.topic}: a message that cannot be read", source=source) from error
+        raise InputError(f"{message.topic}: an invalid message", source=source) from error
 
 
 class _Collected:
@@ -345,10 +347,10 @@ class _Collected:
             self._refuse(f"rollout {start.rollout}: {start.robots} robots on {start.height} x {start.width} cells")
 
     def _refuse(self, problem: str) -> None:
-        raise InputError(problem, source=self._source, expected="what record wrote")
+        raise InputError(problem, source=self._source, expected="values as `record` writes them")
 
     def add(self, message: LogMessage, decoded: Any) -> bool:
-        """Take a message; False if it does not follow."""
+        """Add a message; False if it is out of order."""
         robots = self.start.robots
         if decoded.rollout != self.start.rollout:
             return False
@@ -366,7 +368,7 @@ class _Collected:
         return True
 
     def finish(self, end: Any) -> RecordedRollout:
-        """The rollout, whose steps are all there."""
+        """The rollout, once all its steps are there."""
         start = self.start
         if end.outcome not in tuple(Outcome) or len(end.area_of) != start.height * start.width:
             self._refuse(f"the end of rollout {end.rollout}")

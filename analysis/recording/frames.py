@@ -1,6 +1,6 @@
-"""A rollout's trace worked out step by step: who lives, what is covered, who holds which area. Pure NumPy.
+"""State of a rollout step by step from its trace: live robots, coverage, and the robots of the areas. NumPy only.
 
-Which areas robots hold that learn the map no trace tells (`analysis.recording.frames`).
+A trace does not contain the areas of robots that learn the map; `learned_maps` simulates them.
 
 Axis letters: `T` = time + 1 steps, `K` robots, `N = H * W` cells, `A` areas, `V` entries of a cell.
 """
@@ -28,7 +28,7 @@ from planner.world.world import World
 
 
 class Held(IntEnum):
-    """What has become of an area."""
+    """State of an area."""
 
     UNASSIGNED = 0
     ASSIGNED = 1
@@ -37,14 +37,14 @@ class Held(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """What a trace implies at the end of each step.
+    """Arrays computed from a trace, at the end of each step.
 
     Attributes:
         trace: the rollout.
         moved: bool `[T, K]`: the robot entered its cell in this step.
         alive: bool `[T, K]`.
-        visited_at, survived_at: int32 `[N]`: step at which the cell was first entered, and first entered by a robot
-            that was not stopped there; NO_STEP.
+        visited_at, survived_at: int32 `[N]`: step of the first entry of the cell, and of the first entry that a robot
+            survived; NO_STEP.
         visited_by: int32 `[N]`, the robot that entered the cell first; NO_ROBOT.
         visited, survived: int64 `[T]`, cells so far. alive_count: int64 `[T]`.
     """
@@ -66,14 +66,14 @@ class Frames:
 
 @dataclass(frozen=True, eq=False)
 class AreaMap:
-    """Who holds which area at the end of a step.
+    """The areas and the robots that hold them at the end of a step.
 
     Attributes:
         step: the step.
-        area: int32 `[N]`, the area of each cell; NO_AREA where there is none.
-        held: int8 `[N]`, values of `Held` (UNASSIGNED where there is no area).
-        robot: int32 `[N]`, the robot that has the cell's area, or had it last; NO_ROBOT.
-        open: areas that nobody has and that are not completed.
+        area: int32 `[N]`, the area of each cell; NO_AREA.
+        held: int8 `[N]`, values of `Held` (UNASSIGNED for cells without an area).
+        robot: int32 `[N]`, the robot that holds the cell's area, or held it last; NO_ROBOT.
+        open: number of areas that no robot holds and that are not completed.
     """
 
     step: int
@@ -84,13 +84,15 @@ class AreaMap:
 
 
 def make_frames(trace: Trace, state: MissionState | None = None) -> Frames:
-    """Work out a trace; `state`: of the mission that it goes on from."""
+    """Compute the arrays of a trace; `state`: of the mission that it continues."""
     cells, n = trace.cells, len(trace.area_of)
     moved = np.ones(cells.shape, dtype=np.bool_)
+    # At t = 0 robots enter their starts, unless a mission is resumed.
     moved[0] = state is None
     moved[1:] = cells[1:] != cells[:-1]
     alive = trace.doing != Doing.DEAD
     stopped_now = ~alive
+    # A robot is lost in the step in which it is dead for the first time.
     stopped_now[1:] &= alive[:-1]
     steps, robots = np.nonzero(moved)
     passed = ~stopped_now[steps, robots]
@@ -114,8 +116,9 @@ def make_frames(trace: Trace, state: MissionState | None = None) -> Frames:
 
 
 def _first(values: NDArray[np.int64], cells: NDArray[np.int32], n: int) -> NDArray[np.int32]:
-    """The first of `values` that each cell comes with, int32 `[n]`; NO_STEP (which is NO_ROBOT)."""
+    """The first of `values` for each cell, int32 `[n]`; NO_STEP (equal to NO_ROBOT)."""
     first = np.full(n, NO_STEP, dtype=np.int32)
+    # In reverse order the first value is written last.
     first[cells[::-1]] = values[::-1]
     return first
 
@@ -125,7 +128,7 @@ def _so_far(first: NDArray[np.int32], steps: int) -> NDArray[np.int64]:
 
 
 def area_maps(trace: Trace, areas: Sequence[Area], state: MissionState | None = None) -> Iterator[AreaMap]:
-    """The areas at the end of step 0, and of every later step that changes who holds what.
+    """The areas at the end of step 0, and of every later step that changes their state or robot.
 
     `areas`: those at t = 0, in id order. Raises ValueError if the events of the trace do not fit them.
     """
@@ -135,24 +138,25 @@ def area_maps(trace: Trace, areas: Sequence[Area], state: MissionState | None = 
 
 
 def no_areas(cells: int) -> AreaMap:
-    """That there are none, before the first step."""
+    """The map without areas, before the first step."""
     none = np.full(cells, NO_AREA, dtype=np.int32)
     return AreaMap(0, none, np.zeros(cells, dtype=np.int8), none, 0)
 
 
 class AreaBook:
-    """The areas of a run as its events change them. A part made of an area knows which one it came from.
+    """The areas of a rollout as its events change them. An area made of another one stores that one as its parent.
 
     Attributes:
-        held: int8 `[A]`, values of `Held`. robot: int32 `[A]`, who has it or had it last.
+        held: int8 `[A]`, values of `Held`. robot: int32 `[A]`, the robot that holds the area or held it last.
     """
 
     def __init__(self, trace: Trace, given: Sequence[Area], state: MissionState | None = None) -> None:
-        """`given`: at t = 0, in id order; or in the `state` that the rollout goes on from.
+        """`given`: areas at t = 0, in id order; or in the `state` that the rollout continues.
 
-        Raises ValueError for events that announce other areas than there are.
+        Raises ValueError for events that do not fit the areas.
         """
         self._trace = trace
+        # Only these events create areas; ids are given in the order of events.
         made = np.isin(trace.events[:, 2], (EventKind.REALLOCATED, EventKind.SHARED))
         parents = np.repeat(trace.events[made, 3], np.maximum(trace.events[made, 4], 0))
         count = len(given) + len(parents)
@@ -164,14 +168,14 @@ class AreaBook:
         for number, area in enumerate(() if state is None else state.areas):
             if area.state == "completed":
                 self.held[number], self.robot[number] = Held.COMPLETED, area.robot
-        self._next = len(given)  # those from it on are not made yet
+        self._next = len(given)  # areas from this id on do not exist yet
         self._parents = np.append(np.full(len(given), NO_AREA), parents).astype(np.int32)
         for child, parent in enumerate(parents.tolist(), start=len(given)):
             if not 0 <= parent < child:
                 raise ValueError(f"area {child} was made of area {parent}")
 
     def steps(self) -> Iterator[int]:
-        """Step 0 and every later one with an event, when it has happened."""
+        """Step 0 and every later step with an event, after its events."""
         at, events = self._trace.events[:, 0], self._trace.events
         for step in np.union1d(0, at).tolist():
             for _, robot, kind, area, other in events[slice(*np.searchsorted(at, (step, step + 1)))].tolist():
@@ -179,7 +183,7 @@ class AreaBook:
             yield step
 
     def _apply(self, robot: int, kind: int, area: int, other: int) -> None:
-        """Let an event happen."""
+        """Apply an event."""
         if kind == EventKind.COMPLETED:
             self.held[area] = Held.COMPLETED
         elif kind == EventKind.ALLOCATED:
@@ -191,17 +195,18 @@ class AreaBook:
             self._next += other
 
     def map(self, step: int) -> AreaMap:
-        """Who holds what now."""
-        now = np.arange(len(self.held), dtype=np.int32)  # the area that a cell of final area i is in
+        """The areas at present."""
+        now = np.arange(len(self.held), dtype=np.int32)  # current area of a cell whose final area is i
+        # Follow parents up to an area that exists already.
         while (later := now >= self._next).any():
             now[later] = self._parents[now[later]]
         area = np.append(now, np.int32(NO_AREA))[self._trace.area_of]
         held, robot = np.append(self.held, Held.UNASSIGNED), np.append(self.robot, NO_ROBOT)
-        nobodys = int((self.held[: self._next] == Held.UNASSIGNED).sum())
-        return AreaMap(step, area, held[area], robot[area], nobodys)
+        unassigned = int((self.held[: self._next] == Held.UNASSIGNED).sum())
+        return AreaMap(step, area, held[area], robot[area], unassigned)
 
 
-# Events of a rollout in words.
+# Events of a rollout as text.
 
 _EVENTS = {
     EventKind.COMPLETED: (Log.INFO, "robot {robot} completes area {area}", "{short} at {cell}"),
@@ -211,28 +216,28 @@ _EVENTS = {
     ),
     EventKind.ALLOCATED: (Log.INFO, "robot {robot} gets area {area}", "{short} and goes to {cell}"),
     EventKind.SHARED: (Log.WARNING, "robot {robot} shares area {area}, in {other} parts", "{short}"),
-    EventKind.LOOKED_AGAIN: (Log.INFO, "robot {robot} looks again", "{short} before {cell} and gives area {area} back"),
+    EventKind.LOOKED_AGAIN: (Log.INFO, "robot {robot} re-evaluates", "{short} before {cell} and releases area {area}"),
     EventKind.REFUSED: (
-        Log.WARNING, "robot {robot} refuses area {area}",
-        "robot {robot} is done: it refuses area {area}, at {cell}, and all others that it can reach",
+        Log.WARNING, "area {area} is not worth the risk",
+        "robot {robot} is done: area {area}, at {cell}, and all others in reach are not worth the risk",
     ),
     EventKind.RANGE_ENDED: (
         Log.WARNING, "robot {robot} stays at {cell}",
         "{short}: that was the last move of its range; its area was {area}",
     ),
-    EventKind.TURNED_HOME: (Log.INFO, "robot {robot} turns for home", "{short}, to {cell}{its_area}"),
-    EventKind.HOME: (Log.INFO, "robot {robot} is home", "{short}, at {cell}"),
+    EventKind.TURNED_HOME: (Log.INFO, "robot {robot} starts the return", "{short}, to {cell}{its_area}"),
+    EventKind.HOME: (Log.INFO, "robot {robot} is at the base", "{short}, at {cell}"),
     EventKind.CHARGED: (Log.INFO, "robot {robot} is charged", "{short}, at {cell}"),
-    EventKind.SURPRISED: (Log.INFO, "{cells} are not as believed", "robots see that {cells} are not as they believed"),
+    EventKind.SURPRISED: (Log.INFO, "map update: {cells}", "map update: {cells} differ from the prior map"),
 }  # fmt: skip
-"""Of each kind foxglove.Log's level, what happened in short (on a picture there is little room), and in full."""
+"""For each kind: foxglove.Log's level, a short text (pictures have little space), and the full text."""
 ENDS_WITH_ERROR = (Outcome.ALL_ROBOTS_LOST, Outcome.NO_PROGRESS, Outcome.STEP_LIMIT)
-"""Outcomes whose line in a recording has the level of an error."""
+"""Outcomes that a recording logs as errors."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """An event in words: the step, whom it is about, foxglove.Log's level, what happened, in full and in short."""
+    """An event as text: step, robot, foxglove.Log's level, full and short text."""
 
     step: int
     robot: int
@@ -243,9 +248,9 @@ class Line:
 
 
 def event_line(row: NDArray, world: World, plan: Plan | None = None) -> Line:
-    """One row of `Trace.events` in words. Raises ValueError, IndexError for one that means nothing.
+    """One row of `Trace.events` as text. Raises ValueError, IndexError for an invalid row.
 
-    `plan`: says what threats are to a robot; None: what they are on the map.
+    `plan`: its failure model gives the robot's probability of loss; None: the map's threat.
     """
     step, robot, number, area, other = (int(value) for value in row)
     kind = EventKind(number)
@@ -265,7 +270,7 @@ def event_line(row: NDArray, world: World, plan: Plan | None = None) -> Line:
 
 
 def _stopped_by(robot: int, step: int, cell: NDArray, world: World, plan: Plan | None) -> str:
-    """What may have stopped a robot there: the p of its visit (of who wears, the map's), or a mover."""
+    """Possible causes of a robot's loss: the p of its visit (with a Weibull shape, the map's), or a moving threat."""
     bearing = PLAIN if plan is None else plan.bearing
     own = world if plan is None else world.of_robots(bearing.types, len(plan.robots))[robot]
     p = float(own.by_phase.flat[own.visits(cell, step)])
@@ -273,11 +278,11 @@ def _stopped_by(robot: int, step: int, cell: NDArray, world: World, plan: Plan |
         p = bearing.first_chance(p, robot)
     if world.movers is None:
         return f"threat {chance(p)}"
-    return f"threat {chance(p)}, or a mover" if p else "by a mover"
+    return f"threat {chance(p)}, or a moving threat" if p else "by a moving threat"
 
 
 def end_text(trace: Trace, outcome: Outcome, visited: int, survived: int, accessible: int, alive: int) -> str:
-    """How a rollout ended, which its plan tells from its outcome (`Plan.ending`)."""
+    """The end of a rollout as text; the plan derives `outcome` from the trace's (`Plan.ending`)."""
     seen, passed = share(visited, accessible), share(survived, accessible)
     return (
         f"rollout {trace.rollout} ends: {outcome.word} at step {trace.time}, {seen} visited, "
@@ -285,16 +290,16 @@ def end_text(trace: Trace, outcome: Outcome, visited: int, survived: int, access
     )
 
 
-# Robots that learn the map: what they have seen of it at a step of a rollout, and which areas they make of that.
+# Robots that learn the map: cells seen by a step of a rollout, and the areas made of the updated map.
 
 
 @dataclass(frozen=True, eq=False)
 class Discovery:
-    """What the robots of a rollout come to know.
+    """Map knowledge of a rollout's team.
 
     Attributes:
-        told: float32 `[H, W]`, what they believe at first; NaN: an obstacle.
-        truth: float32 `[H, W]`, what they meet.
+        told: float32 `[H, W]`, prior map; NaN: an obstacle.
+        truth: float32 `[H, W]`, true map.
         when: int32 `[H, W]`, the step at the end of which each cell is first seen; NO_STEP.
     """
 
@@ -303,16 +308,16 @@ class Discovery:
     when: NDArray[np.int32]
 
     def seen(self, step: int) -> NDArray[np.bool_]:
-        """bool `[H, W]`: cells that somebody has seen by the end of a step."""
+        """bool `[H, W]`: cells that some robot has seen by the end of a step."""
         return (self.when != NO_STEP) & (self.when <= step)
 
     def believed(self, step: int) -> NDArray[np.float32]:
-        """float32 `[H, W]`, the map as robots believe it at the end of a step."""
+        """float32 `[H, W]`, the team's map at the end of a step: the true map in seen cells, else the prior map."""
         return np.where(self.seen(step), self.truth, self.told)
 
 
 def discovery_of(world: World, seed: int, trace: Trace) -> Discovery:
-    """Of a rollout of the seed in a world that its robots are not told."""
+    """The map knowledge in a rollout of the seed, for a team that does not know the true map."""
     assert world.knowledge is not None
     when = world.knowledge.first_seen(trace.cells, trace.doing != Doing.DEAD).reshape(world.shape)
     truth = true_map(world.doubt, seed, trace.rollout) if isinstance(world.doubt, Uncertain) else world.met
@@ -320,7 +325,7 @@ def discovery_of(world: World, seed: int, trace: Trace) -> Discovery:
 
 
 def learned_maps(runs: Iterable[SingleRun]) -> Iterator[AreaMap]:
-    """The areas at the end of step 0, and of every later step that changes who holds what, of a run that is played."""
+    """The areas at the end of step 0, and of every later step that changes their state or robot, by simulation."""
     before: tuple[bytes, bytes, bytes] | None = None
     robot = np.zeros(0, dtype=np.int32)
     for run in runs:

@@ -1,4 +1,4 @@
-"""The files beside a recording NAME.mcap, and what is said of one that is in the way, or cannot be made."""
+"""Names of the files of a recording NAME.mcap, and errors about them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def growing_name(recording: Path) -> Path:
 
 
 def interrupted_name(recording: Path) -> Path:
-    """NAME.interrupted.mcap: where a recording that is cut short goes when there is another of its name."""
+    """NAME.interrupted.mcap: an interrupted recording, if another file has its name."""
     return recording.with_name(f"{recording.stem}.interrupted{recording.suffix}")
 
 
@@ -30,7 +30,7 @@ def state_name(recording: Path) -> Path:
 
 
 def left_over(growing: Path) -> UsageError:
-    """What is said of a growing file that is there before the work begins."""
+    """The error for a partial file that exists before the work begins."""
     return UsageError(f"{growing} is left from an earlier run", fix=how_to_clear(growing))
 
 
@@ -41,7 +41,7 @@ def how_to_clear(growing: Path) -> str:
 
 
 def check_name(file: Path, suffix: str) -> None:
-    """Refuse a file whose name does not end as it should, or is nothing but that end."""
+    """Raise UsageError for a file without the suffix, or without a name before it."""
     if file.name == suffix:
         raise UsageError(f"{file} has no name before {suffix}", expected=f"a name, as run{suffix}")
     if file.suffix != suffix:

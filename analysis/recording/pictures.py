@@ -1,4 +1,4 @@
-"""One rollout as a picture that moves on: threat map and paths, who covers what, coverage over time, latest events.
+"""Picture of a rollout at a step: threat map and paths, coverage by robot, coverage over time, latest events.
 
 Axis letters: `K` robots, `N = H * W` cells, `T` = time + 1 steps.
 """
@@ -71,20 +71,20 @@ from planner.tally import Trace
 from planner.world.levels import levels_of_maps
 from planner.world.world import World
 
-# The parts of a rollout's picture that stand still, where they lie, and its words.
+# The static parts of a rollout's picture: layout, legends and texts.
 
-NOBODY = SAFE
+UNASSIGNED = SAFE
 BEFORE = "#c3c7cc"
 LOST = "#b3263a"
 FOG_ALPHA = 0.8
-MOVER = "#e2264d"
+MOVING = "#e2264d"
 VISITED, SURVIVED = "#2f62a6", "#7fb2d9"
 Box = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
 class Boxes:
-    """Where things lie, in inches from the figure's lower-left corner.
+    """Layout, in inches from the figure's lower-left corner.
 
     Attributes:
         size: of the figure. axes: (left, bottom, width, height) of the threat map, the areas' map and the curve.
@@ -99,13 +99,14 @@ class Boxes:
 
 
 def boxes_for(shape: tuple[int, int]) -> Boxes:
-    """Two maps of `shape` side by side, wide ones one above the other; the curve and the events below them."""
+    """Two maps of `shape` side by side, wide ones stacked; the curve and the events below them."""
     height, width = shape
     left, right, top, gap = 0.62, 0.2, 0.9, 0.6
     curve = (left, 0.5, 4.3, 1.3)
     events = (left + curve[2] + 0.3, curve[1] + curve[3])
     bar = (left, 2.35, 2.6, 0.11)
     base = 3.1
+    # Wide maps side by side would have tiny cells.
     if width > 2.2 * height:
         cell = (WIDTH - left - right) / width
         tall = cell * height
@@ -124,9 +125,9 @@ def boxes_for(shape: tuple[int, int]) -> Boxes:
 def draw_threat(
     axes: Axes, boxes: Boxes, world: World, plan: Plan, has_areas: bool, *, fog: bool = False
 ) -> tuple[AxesImage, list[NDArray[np.float64]]]:
-    """The world by threat, its colour bar, and the legend of both maps; `fog`: not all of it is seen at once.
+    """Draw the world by threat, its colour bar, and the legend of both maps; `fog`: parts of the map are unseen.
 
-    The image, and the colours that it has in each phase.
+    Returns the image, and its colours in each phase.
     """
     accessible = world.accessible(plan.starts)
     maps = world.threat[None] if world.phases is None else world.phases.threats
@@ -137,9 +138,9 @@ def draw_threat(
     paint = ScalarMappable(known.norm, known.colours)
     painted = [cell_colours(world, accessible, paint.to_rgba(threat)) for threat in threats]
     image = axes.imshow(painted[0], interpolation="nearest", zorder=0)
-    map_frame(axes, world, "threat, and the paths driven")
+    map_frame(axes, world, "threat, and paths driven")
     label, handles = (
-        "chance that one visit stops the robot",
+        "probability that one visit destroys the robot",
         _area_handles(has_areas, plan.state is not None, fog, world.movers is not None),
     )
     key = Key("", "", label=label, handles=handles, **level_scale(levels, known))
@@ -147,35 +148,35 @@ def draw_threat(
     return image, painted
 
 
-def _area_handles(has_areas: bool, before: bool, fog: bool, movers: bool) -> tuple[Patch | Line2D, ...]:
-    """The legend of the areas' map, whose cells are painted step by step. `before`: some were covered."""
+def _area_handles(has_areas: bool, before: bool, fog: bool, moving: bool) -> tuple[Patch | Line2D, ...]:
+    """The legend of the areas' map, which is painted step by step. `before`: some cells were covered earlier."""
     hue = np.array([to_rgba("#0072b2")[:3]])
     entries = [(tint(hue, 0.62)[0], "covered, in the robot's colour")]
     if has_areas:
-        entries += [(tint(hue, 0.3)[0], "still to do, that robot's")]
+        entries += [(tint(hue, 0.3)[0], "assigned to that robot")]
     if before:
         entries += [(to_rgba(BEFORE)[:3], "covered before")]
-    entries += [(NOBODY, "still to do, nobody's" if has_areas else "still to do"), (OBSTACLE, "obstacle")]
-    entries += [(to_rgb(FOG), "seen by nobody yet")] if fog else []
+    entries += [(UNASSIGNED, "unassigned" if has_areas else "not covered"), (OBSTACLE, "obstacle")]
+    entries += [(to_rgb(FOG), "not seen yet")] if fog else []
     patches = [Patch(facecolor=colour, edgecolor=FAINT, linewidth=0.4, label=label) for colour, label in entries]
     look: Look = {"linestyle": "", "marker": "D", "markersize": 5, "markeredgecolor": "white"}
-    return (*patches, *([Line2D([], [], color=MOVER, label="threat that moves", **look)] if movers else []))
+    return (*patches, *([Line2D([], [], color=MOVING, label="moving threat", **look)] if moving else []))
 
 
 def draw_fog(axes: Axes, shape: tuple[int, int]) -> AxesImage:
-    """A dark sheet over a map, whose alpha is set cell by cell."""
+    """A dark layer over a map; its alpha is set by cell."""
     sheet = np.full((*shape, 3), to_rgb(FOG))
     return axes.imshow(sheet, interpolation="nearest", zorder=1, alpha=np.full(shape, FOG_ALPHA))
 
 
-def draw_movers(axes: Axes, points: float) -> PathCollection:
-    """Threats that move, nowhere yet; `points`: of a cell."""
+def draw_moving_threats(axes: Axes, points: float) -> PathCollection:
+    """Moving threats without positions; `points`: size of a cell."""
     size = float(np.clip(0.7 * points, 3.0, 9.0))
-    return axes.scatter([], [], s=size**2, marker="D", color=MOVER, edgecolors="white", linewidths=0.5, zorder=3.5)
+    return axes.scatter([], [], s=size**2, marker="D", color=MOVING, edgecolors="white", linewidths=0.5, zorder=3.5)
 
 
 def draw_coverage(axes: Axes, frames: Frames, total: int) -> list[Line2D]:
-    """The axes of coverage over time, and its lines, visited and survived, still empty."""
+    """Set up the axes of coverage over time, and return its empty lines, visited and survived."""
     last = max(1, frames.trace.time)
     axes.set(xlim=(0, last * 1.02), ylim=(0, 1.1))
     axes.set_xlabel("step", fontsize=8)
@@ -195,7 +196,7 @@ def draw_coverage(axes: Axes, frames: Frames, total: int) -> list[Line2D]:
 
 
 def map_frame(axes: Axes, world: World, title: str) -> None:
-    """The axes of a map, and what it shows."""
+    """Set up the axes of a map, with its title."""
     map_axes(axes, world.shape, world.cell_size)
     axes.set_title(title, loc="left", fontsize=9, color=INK, pad=4)
 
@@ -206,21 +207,21 @@ def tint(colours: NDArray[np.float64], share: float) -> NDArray[np.float64]:
 
 
 NUMBERED = 40
-"""Robots up to which the markers carry numbers."""
+"""Robots up to which markers have numbers."""
 LISTED_EVENTS = 8
 
 
 class RolloutPicture:
-    """A rollout drawn at one step after another: `show(step)`, then `pixels()`, or `figure` for a file."""
+    """A rollout drawn at increasing steps: `show(step)`, then `pixels()`, or `figure` for a file."""
 
     def __init__(self, trace: Trace, stage: Stage, dpi: int) -> None:
-        """Draw all that never changes, and step 0. For use within `plots_style.house_style()`.
+        """Draw the static parts, and step 0. For use within `plots_style.house_style()`.
 
-        `dpi`: pixels an inch of the figure, `plots_style.WIDTH` inches wide.
+        `dpi`: pixels per inch of the figure, which is `plots_style.WIDTH` inches wide.
         """
         plan, self._found = stage.plan, stage.discovery(trace)
         world = stage.world
-        if self._found is not None:  # what is true, behind the fog
+        if self._found is not None:  # draw the true map, behind the fog
             world = replace(world, threat=self._found.truth, knowledge=None, doubt=None)
         self._trace, self._plan, self._world, self._shape = trace, plan, world, world.shape
         self._frames = make_frames(trace, plan.state)
@@ -231,21 +232,21 @@ class RolloutPicture:
         has_areas = self._next_map is not None
         self._events_at = self._frames.events_by_step()
         robots = trace.cells.shape[1]
-        colours = np.array([to_rgb(robot_style(robot)[0]) for robot in range(robots)] + [to_rgb(NOBODY)])
+        colours = np.array([to_rgb(robot_style(robot)[0]) for robot in range(robots)] + [to_rgb(UNASSIGNED)])
         self._covered, self._promised = tint(colours, 0.62), tint(colours, 0.3)
-        self._promised[NO_ROBOT], self._covered[NO_ROBOT] = to_rgb(NOBODY), to_rgb(BEFORE)
+        self._promised[NO_ROBOT], self._covered[NO_ROBOT] = to_rgb(UNASSIGNED), to_rgb(BEFORE)
 
         boxes = boxes_for(world.shape)
         self.figure = new_figure(boxes.size, dpi)
         threat_axes, areas_axes, coverage = (self.figure.add_axes(inches(self.figure, box)) for box in boxes.axes)
         fog = self._found is not None
         self._ground, self._painted = draw_threat(threat_axes, boxes, world, plan, has_areas, fog=fog)
-        map_frame(areas_axes, world, "who covered it, and whose area it is" if has_areas else "who covered it")
+        map_frame(areas_axes, world, "coverage and areas by robot" if has_areas else "coverage by robot")
         self._image = areas_axes.imshow(self._area_colours(0), interpolation="nearest", zorder=0)
         points = cell_points(threat_axes, world.shape)
         self._fog = [draw_fog(axes, world.shape) for axes in (threat_axes, areas_axes) if self._found is not None]
         self._ways = ways_of_movers(stage.world, stage.seed, trace.rollout, len(trace.cells))
-        self._movers = [draw_movers(axes, points) for axes in (threat_axes, areas_axes) if self._ways.size]
+        self._threats = [draw_moving_threats(axes, points) for axes in (threat_axes, areas_axes) if self._ways.size]
         self._paths = [_path_line(threat_axes, robot, robots, points) for robot in range(robots)]
         self._markers = [_Markers(axes, robots, points) for axes in (threat_axes, areas_axes)]
         self._curves = draw_coverage(coverage, self._frames, int(self._accessible.sum()))
@@ -256,9 +257,9 @@ class RolloutPicture:
         self.show(0)
 
     def show(self, step: int) -> None:
-        """Move on to the end of `step`, 0 .. time; a step before the one shown is a ValueError."""
+        """Draw the end of `step`, 0 .. time; raises ValueError for a step before the shown one."""
         if not self._map.step <= step <= self._trace.time:
-            raise ValueError(f"step {step} is before the one shown, or after the end at {self._trace.time}")
+            raise ValueError(f"step {step} is before the shown step, or after the end at {self._trace.time}")
         while self._next_map is not None and self._next_map.step <= step:
             self._map, self._next_map = self._next_map, next(self._maps, None)
         self._image.set_data(self._area_colours(step))
@@ -267,8 +268,8 @@ class RolloutPicture:
         if self._found is not None:
             for fog in self._fog:
                 fog.set_alpha(np.where(self._found.seen(step), 0.0, FOG_ALPHA))
-        for movers in self._movers:
-            movers.set_offsets(np.stack(np.divmod(self._ways[step], self._shape[1])[::-1], axis=1))
+        for threats in self._threats:
+            threats.set_offsets(np.stack(np.divmod(self._ways[step], self._shape[1])[::-1], axis=1))
         rows, cols = np.divmod(self._trace.cells[: step + 1], self._shape[1])
         for robot, line in enumerate(self._paths):
             shift = lane(robot, len(self._paths))
@@ -284,10 +285,11 @@ class RolloutPicture:
         self._write(step)
 
     def pixels(self) -> NDArray[np.uint8]:
-        """The picture as it stands, uint8 `[pixels down, pixels across, 3]`."""
+        """The picture, uint8 `[pixels down, pixels across, 3]`."""
         canvas = self._canvas
         if self._background is None:
             for artist in self._moving():
+                # Blitting: the static parts are drawn once.
                 artist.set_animated(True)
             canvas.draw()
             self._background = canvas.copy_from_bbox(self.figure.bbox)
@@ -297,11 +299,11 @@ class RolloutPicture:
         return np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
 
     def _moving(self) -> list[Any]:
-        """What `show` changes, from the lowest to the highest."""
+        """The artists that `show` changes, bottom to top."""
         marks = [artist for markers in self._markers for artist in markers.artists]
         return [
             *([self._ground] if len(self._painted) > 1 else []),
-            self._image, *self._fog, *self._paths, *self._movers, *marks, *self._curves, self._losses,
+            self._image, *self._fog, *self._paths, *self._threats, *marks, *self._curves, self._losses,
             self._title, self._subtitle, *self._lines,
         ]  # fmt: skip
 
@@ -324,7 +326,7 @@ class RolloutPicture:
         parts = [f"{percent(visited / total)} visited ({visited:,} of {counted(total, 'cell')})"]
         parts.append(f"{frames.alive_count[step]} of {counted(robots, 'robot')} alive")
         if self._map.open:
-            parts.append(f"{counted(self._map.open, 'area')} nobody's")
+            parts.append(f"{counted(self._map.open, 'area')} unassigned")
         if self._found is not None:
             parts.append(f"{percent(self._found.seen(step).ravel()[self._accessible].mean())} seen")
         self._subtitle.set_text("; ".join(parts))
@@ -345,7 +347,7 @@ def _path_line(axes: Axes, robot: int, robots: int, points: float) -> Line2D:
 
 
 class _Markers:
-    """The robots on a map: numbered discs in their colours, a cross where one was lost."""
+    """The robots on a map: numbered discs in their colours, a cross for a lost robot."""
 
     def __init__(self, axes: Axes, robots: int, points: float) -> None:
         numbered = robots <= NUMBERED
@@ -361,7 +363,7 @@ class _Markers:
         self.artists = [self._lost, self._alive, *self._numbers]
 
     def move(self, rows: NDArray[np.int64], cols: NDArray[np.int64], alive: NDArray[np.bool_]) -> None:
-        """To the cells `[K]`."""
+        """Move the robots to the cells `[K]`."""
         places = np.stack([cols, rows], axis=1) + self._shifts[:, None]
         self._alive.set_offsets(places[alive])
         self._alive.set_facecolor(self._colours[alive].tolist())
@@ -373,7 +375,7 @@ class _Markers:
 
 
 def _texts(figure: Figure, size: tuple[float, float], events: tuple[float, float]) -> tuple[Text, Text, list[Text]]:
-    """Title, subtitle, and the lines of the latest events, empty."""
+    """Title, subtitle, and the lines of the latest events, without text."""
     width, height = size
     left = 0.62 / width
     title = figure.text(left, 1 - 0.33 / height, "", fontsize=13, fontweight="bold", color=INK)
@@ -386,24 +388,24 @@ def _texts(figure: Figure, size: tuple[float, float], events: tuple[float, float
     return title, subtitle, lines
 
 
-# A rollout for people without a viewer: a PNG of one of its steps, and an animated GIF of all of it.
+# Files for readers without a viewer: a PNG of one step, and an animated GIF of all steps.
 
 MOST_FRAMES = 300
 ANIMATION_DPI = 100
-"""Pixels an inch of an animation: 800 across."""
+"""Pixels per inch of an animation: 800 across."""
 PLAYING_SECONDS = 24.0
 FASTEST, SLOWEST = 40, 250
-"""Milliseconds that a frame is shown; browsers slow down what is faster."""
+"""Milliseconds per frame; browsers slow down faster animations."""
 ON_LOSS, AT_END = 500, 3000
-"""Milliseconds that a frame with a loss is shown, and the last one."""
+"""Milliseconds of a frame with a loss, and of the last one."""
 COLOURS = 255
-"""Of a GIF: of 256, one stands for "as in the frame before"."""
+"""Colours of a GIF: of 256, one means "as in the frame before"."""
 
 
 def picture_png(trace: Trace, stage: Stage, step: int | None = None) -> bytes:
-    """The rollout at the end of `step` (None: its last) as a PNG 8 inches wide. The same input, the same bytes.
+    """The rollout at the end of `step` (None: its last) as a PNG 8 inches wide. Equal input gives equal bytes.
 
-    `stage`: what the trace is a rollout of. Raises UsageError for a step that it does not have.
+    `stage`: of the trace. Raises UsageError for a step out of range.
     """
     at = trace.time if step is None else step
     if not 0 <= at <= trace.time:
@@ -416,10 +418,10 @@ def picture_png(trace: Trace, stage: Stage, step: int | None = None) -> bytes:
 
 
 def animation_gif(trace: Trace, stage: Stage, most_frames: int = MOST_FRAMES) -> bytes:
-    """The whole rollout as an animated GIF, 800 pixels wide, that plays for about half a minute, over and over.
+    """The rollout as an animated GIF, 800 pixels wide, of about half a minute, repeated.
 
-    Of a long rollout at most `most_frames` steps are shown, the first, the last and those with losses first of all.
-    The same input gives the same bytes. Holds one byte a pixel and frame. Raises UsageError for less than two frames.
+    Long rollouts show at most `most_frames` steps; the first, the last and those with losses take precedence. Equal
+    input gives equal bytes. Memory: one byte for each pixel and frame. Raises UsageError for less than two frames.
     """
     if most_frames < 2:
         raise UsageError(f"{most_frames} frames", expected="2 or more")
@@ -437,7 +439,8 @@ def animation_gif(trace: Trace, stage: Stage, most_frames: int = MOST_FRAMES) ->
 
 
 def shown_steps(trace: Trace, most: int) -> list[int]:
-    """Increasing steps, at most `most` (2 or more): first, last, those with losses, the others evenly spread."""
+    """Increasing steps, at most `most` (2 or more): first, last, those with losses, the others evenly spaced."""
+    # Steps with losses take precedence over evenly spaced ones.
     losses = np.unique(trace.events[trace.events[:, 2] == EventKind.HIT, 0])
     steps = np.unique([0, trace.time, *losses[: most - 2]])
     others = np.setdiff1d(np.arange(trace.time + 1), steps)
@@ -448,21 +451,21 @@ def shown_steps(trace: Trace, most: int) -> list[int]:
 
 
 def durations(trace: Trace, steps: list[int]) -> list[int]:
-    """Milliseconds for each of `steps`, in whole hundredths of a second: longer at losses and at the end."""
+    """Milliseconds for each of `steps`, a multiple of 10: longer at losses and at the end."""
     usual = int(np.clip(PLAYING_SECONDS * 1000 / len(steps), FASTEST, SLOWEST)) // 10 * 10
     losses = set(trace.events[trace.events[:, 2] == EventKind.HIT, 0].tolist())
     return [AT_END if step == trace.time else ON_LOSS if step in losses else usual for step in steps]
 
 
 def _commonest(pictures: Iterator[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    """The commonest colours of some pictures `[down, across, 3]`, uint8 `[COLOURS, 3]`."""
+    """The most frequent colours of some pictures `[down, across, 3]`, uint8 `[COLOURS, 3]`."""
     found, counts = np.unique(np.concatenate([_packed(one).ravel() for one in pictures]), return_counts=True)
     chosen = found[np.argsort(-counts, kind="stable")][:COLOURS]
     return _rgb(np.pad(chosen, (0, COLOURS - len(chosen)), mode="edge"))
 
 
 def _packed(pixels: NDArray[np.uint8]) -> NDArray[np.uint32]:
-    """Colours `[..., 3]` as numbers below 2**24, `[...]`."""
+    """Colours `[..., 3]` as integers below 2**24, `[...]`."""
     packed: NDArray[np.uint32] = pixels.astype(np.uint32) @ np.array([2**16, 2**8, 1], dtype=np.uint32)
     return packed
 
@@ -472,7 +475,8 @@ def _rgb(packed: NDArray[np.uint32]) -> NDArray[np.uint8]:
 
 
 def _in_colours(picture: NDArray[np.uint8], colours: NDArray[np.uint8], tree: KDTree) -> Image.Image:
-    """The picture `[down, across, 3]` in the colours of the tree, each pixel in the nearest."""
+    """The picture `[down, across, 3]` in the palette of the tree, each pixel in the nearest colour."""
+    # A picture has few distinct colours, so the search is done once for each.
     found, which = np.unique(_packed(picture), return_inverse=True)
     nearest = tree.query(_rgb(found))[1].astype(np.uint8)
     image = Image.fromarray(nearest[which].reshape(picture.shape[:2]))
@@ -481,7 +485,7 @@ def _in_colours(picture: NDArray[np.uint8], colours: NDArray[np.uint8], tree: KD
 
 
 def _gif(pictures: Iterator[NDArray[np.uint8]], colours: NDArray[np.uint8], milliseconds: list[int]) -> bytes:
-    """The pictures as a GIF whose frames say only what has changed."""
+    """The pictures as a GIF whose frames store only changes."""
     tree = KDTree(colours)
     frames = (_in_colours(one, colours, tree) for one in pictures)
     out = io.BytesIO()
@@ -499,11 +503,11 @@ def _gif(pictures: Iterator[NDArray[np.uint8]], colours: NDArray[np.uint8], mill
     return out.getvalue()
 
 
-# A picture and an animation of a recorded rollout as files.
+# Picture and animation of a recorded rollout as files.
 
 
 def save_pictures(trace: Trace, stage: Stage, picture: Path | None, animation: Path | None) -> Iterator[Path]:
-    """Write those that have a name, whole or not at all; each is told once it is there. Raises MapError."""
+    """Write the files that have a name, completely or not at all; yields each path when written. Raises MapError."""
 
     for path, draw in ((picture, picture_png), (animation, animation_gif)):
         if path is not None:

@@ -1,4 +1,4 @@
-"""`mrac-jax record`: chosen rollouts in full, and what all evaluated ones came to, as one MCAP file."""
+"""`mrac-jax record`: selected rollouts in full, and the results of all evaluated ones, as one MCAP file."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ from planner.world.world import World
 if TYPE_CHECKING:
     from planner.rollouts.engine import Engine
 
-# Which of many evaluated rollouts to record: found as they stream by, in memory that does not grow with them.
+# Selection of rollouts from a stream, in memory that does not grow with the number of rollouts.
 
 EXPECTED = "worst, median, best, random or quantile:Q with 0 < Q < 1"
 _PURPOSE = 0x5049434B
-"""Counter of the draw of `random`: "PICK"."""
+"""Counter word of the random number of `random`: "PICK"."""
 
 
 @dataclass(frozen=True)
 class Pick:
-    """One choice: its name as given, and the quantile of visited coverage that it asks for (None: any rollout)."""
+    """One selection: its name as given, and the wanted quantile of visited coverage (None: any rollout)."""
 
     name: str
     q: float | None
@@ -74,7 +74,7 @@ def parse_picks(text: str) -> tuple[Pick, ...]:
 
 
 def parse_ids(text: str, most: int) -> tuple[int, ...]:
-    """`"0,5,7-9"` as rollout ids, each once, in the order given; at most `most`. Raises UsageError."""
+    """`"0,5,7-9"` as distinct rollout ids in the given order; at most `most`. Raises UsageError."""
     ids: dict[int, None] = {}
     for part in text.split(","):
         bounds = re.fullmatch(r"([0-9]{1,1000})(?:-([0-9]{1,1000}))?", part, re.ASCII)
@@ -91,12 +91,12 @@ def parse_ids(text: str, most: int) -> tuple[int, ...]:
 
 
 class Picker:
-    """Keeps, for every number of cells visited, the rollout to show for it.
+    """Keeps, for every number of visited cells, the rollout to select.
 
-    A quantile of visited coverage is a number of cells (`analysis.statistics.estimates.quantile`). Of the rollouts that
-    visited just so many, the one with the most survived is taken, then the shortest, then the lowest id; for `worst`,
-    the one with the fewest survived, then the longest, then the lowest id. Memory: a few numbers for each accessible
-    cell.
+    A quantile of visited coverage is a number of cells (`analysis.statistics.estimates.quantile`). Of the rollouts with
+    that number, the one with the most survived cells is selected, then the shortest, then the lowest id; for `worst`,
+    the one with the fewest survived cells, then the longest, then the lowest id. Memory: a few numbers for each
+    accessible cell.
     """
 
     def __init__(self, accessible: int) -> None:
@@ -105,15 +105,17 @@ class Picker:
         self._worst: tuple[int, int, int, int] | None = None  # visited, survived, -time, id
 
     def add(self, results: RolloutResults) -> None:
-        """Look at the rollouts of the next ids."""
+        """Add the rollouts of the next ids."""
         visited = results.visited.astype(np.int64)
         if not len(visited):
             return
         self._counts += np.bincount(visited, minlength=len(self._counts))
-        order = np.lexsort((results.time, -results.survived, visited))  # stable: ids in order
+        # One sort gives the best rollout of every number of cells.
+        order = np.lexsort((results.time, -results.survived, visited))  # a stable sort keeps ids in order
         firsts = order[np.flatnonzero(np.diff(visited[order], prepend=-1))]
         new = np.stack([results.survived[firsts], results.time[firsts], results.start + firsts], axis=1)
         old = self._top[visited[firsts]]
+        # On ties the earlier id stays.
         better = (old[:, 2] == NO_ROLLOUT) | _above(new, old)
         self._top[visited[firsts][better]] = new[better]
         low = np.flatnonzero(visited == visited.min())
@@ -122,7 +124,7 @@ class Picker:
         self._worst = worst if self._worst is None else min(self._worst, worst)
 
     def choose(self, pick: Pick, seed: int) -> int:
-        """The id of the rollout; `random`: any of those seen (ids from 0), by the seed alone."""
+        """The id of the selected rollout; `random`: any of those added (ids from 0), by the seed only."""
         if pick.q is None:
             total = int(self._counts.sum())
             high, low = threefry2x32(key_of(seed), np.uint32(_PURPOSE), np.uint32(0))
@@ -134,26 +136,26 @@ class Picker:
 
 
 def _above(new: NDArray[np.int64], old: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether each (survived, time) of `new` is better: more survived, then shorter. Equal ones keep the earlier id."""
+    """Whether each (survived, time) of `new` is better: more survived, then shorter. Ties keep the earlier id."""
     return (new[:, 0] > old[:, 0]) | ((new[:, 0] == old[:, 0]) & (new[:, 1] < old[:, 1]))
 
 
-# The rollouts that a recording is about: evaluated as a stream, chosen ones in full.
+# The rollouts of a recording: evaluated as a stream, selected ones in full.
 
 OUTCOME_COLUMNS = ("visited", "survived", "time", "alive", "outcome")
 
 
 @dataclass(frozen=True)
 class Request:
-    """What to record.
+    """The arguments of a recording.
 
     Attributes:
-        ids: rollouts in full; empty: those that `picks` choose.
-        picks: out of the evaluated ones. evaluated: how many, ids from 0; 0: only those in `ids`.
-        outcomes: keep every evaluated rollout's outcome.
-        loop, seed, engine, first_only: as in `analysis.evaluation.evaluate`; no byte of the file depends on the engine.
+        ids: rollouts in full; empty: those selected by `picks`.
+        picks: selections among the evaluated rollouts. evaluated: their number, ids from 0; 0: only those in `ids`.
+        outcomes: store every evaluated rollout's outcome.
+        loop, seed, engine, first_only: as in `analysis.evaluation.evaluate`; the file does not depend on the engine.
         step_seconds: time of a step.
-        made: the plan is the planner's own, not a given one.
+        made: the plan comes from the planner, not from a file.
         scenario: the text of the scenario file, if there is one.
     """
 
@@ -170,14 +172,14 @@ class Request:
     scenario: bytes | None = None
 
     def settings(self, ids: tuple[int, ...], picks: dict[str, int]) -> contents.Settings:
-        """What the file says of it, once it is known which rollouts it holds."""
+        """The settings for the file, once the recorded rollouts are known."""
         return contents.Settings(
             self.loop, "first_visit" if self.first_only else "every_visit", self.seed, ids, picks, self.evaluated,
             self.outcomes, self.step_seconds, "made" if self.made else "given", contents.own_version(),
         )  # fmt: skip
 
     def check(self) -> None:
-        """Raise UsageError for what cannot be recorded."""
+        """Raise UsageError for arguments that cannot be recorded."""
         low, high = contents.STEP_SECONDS
         check_word("loop", self.loop, ("closed", "open"))
         check_word("engine", self.engine, ENGINES)
@@ -187,7 +189,7 @@ class Request:
             raise UsageError("nothing to record", expected=f"{argument('ids')} or {argument('picks')}")
         among = f"{argument('picks')} chooses among" if self.picks else f"{argument('outcomes')} are those of"
         if (self.picks or self.outcomes) and not self.evaluated:
-            problem = f"{among} evaluated rollouts, and there are none"
+            problem = f"{among} evaluated rollouts, but none is evaluated"
             raise UsageError(problem, expected=argument("evaluated"))
         if self.first_only and self.loop == "open":
             problem = f"{argument('first_only', True)} needs the closed loop"
@@ -195,7 +197,7 @@ class Request:
 
 
 def engine_of(world: World, plan: Plan, request: Request) -> Engine:
-    """Rolls out as the request says. Raises InputError."""
+    """The engine of a request. Raises InputError."""
     from planner.rollouts.engine import Rolling, make_engine
 
     compiles_for(plan, request.loop)
@@ -205,6 +207,7 @@ def engine_of(world: World, plan: Plan, request: Request) -> Engine:
 
 def tally_of(engine: Engine, ids: Iterable[int]) -> Tally:
     """The tally of some rollouts."""
+    # Engines roll out ranges of ids.
     known = np.sort(np.fromiter(ids, dtype=np.int64))
     spans = np.split(known, np.flatnonzero(np.diff(known) != 1) + 1)
     tallies = [engine.tally(int(span[0]), len(span)) for span in spans]
@@ -212,7 +215,7 @@ def tally_of(engine: Engine, ids: Iterable[int]) -> Tally:
 
 
 def chunks(engine: Engine, count: int, progress: ProgressCallback | None) -> Iterator[tuple[Tally, RolloutResults]]:
-    """Rollouts 0 .. count - 1 as they come: (tally so far, results of the next ids)."""
+    """Rollouts 0 .. count - 1 in blocks: (tally so far, results of the next ids)."""
     from planner.rollouts.engine import run_chunks
 
     for chunk in run_chunks(engine, count, results=True):
@@ -225,7 +228,7 @@ def chunks(engine: Engine, count: int, progress: ProgressCallback | None) -> Ite
 def evaluate(
     engine: Engine, request: Request, write: Callable[[Message], None], progress: ProgressCallback | None
 ) -> tuple[Tally, tuple[int, ...], dict[str, int]]:
-    """(tally, ids to record, picks): everything that is evaluated, its outcomes written as they come."""
+    """(tally, ids to record, picks) of the evaluation; outcomes are written while it runs."""
     if not request.evaluated:
         return tally_of(engine, request.ids), request.ids, {}
     picker, columns = Picker(engine.accessible), OutcomeColumns()
@@ -236,6 +239,7 @@ def evaluate(
         if request.outcomes:
             for message in columns.add(results):
                 write(message)
+    # The last block may be incomplete.
     for message in columns.rest():
         write(message)
     picks = {pick.name: picker.choose(pick, request.seed) for pick in request.picks}
@@ -243,13 +247,13 @@ def evaluate(
 
 
 class OutcomeColumns:
-    """Results as they come, as `/outcomes` messages of aligned blocks of BLOCK ids, all at time 0."""
+    """Splits results into `/outcomes` messages of aligned blocks of BLOCK ids, all at time 0."""
 
     def __init__(self) -> None:
         self._waiting: RolloutResults | None = None
 
     def add(self, results: RolloutResults) -> Iterator[Message]:
-        """The blocks that these results, of the next ids, complete."""
+        """The blocks that the results of the next ids complete."""
         known = results if self._waiting is None else RolloutResults.join([self._waiting, results])
         at = 0
         while (stop := (known.start + at) // BLOCK * BLOCK + BLOCK - known.start) <= len(known.visited):
@@ -281,7 +285,7 @@ MOST_SECONDS = 2.0**31 - 1
 
 @dataclass(frozen=True)
 class Row:
-    """One rollout in full, in short: its id, the picks that chose it, and what it came to (cells, steps, robots)."""
+    """Summary of a recorded rollout: its id, the picks that selected it, and its figures (cells, steps, robots)."""
 
     rollout: int
     picks: tuple[str, ...]
@@ -295,14 +299,14 @@ class Row:
 
 @dataclass(eq=False, repr=False)
 class Recorded(Answer):
-    """What `record` did.
+    """The result of `record`.
 
     Attributes:
-        path: the file. settings: those in it. tally: of what was evaluated.
-        rows: the rollouts in full. first: the trace of the first of them.
-        partial: it was interrupted; `rows` are those that were done, and the file is marked.
-        bytes: the file's size. evaluate_seconds, record_seconds: spent on evaluating, and on the rollouts in full.
-        pace: how long a step takes, if the world knows.
+        path: the file. settings: of the file. tally: of the evaluated rollouts.
+        rows: the recorded rollouts. first: the trace of the first of them.
+        partial: it was interrupted; `rows` are the finished rollouts, and the file is marked.
+        bytes: the file's size. evaluate_seconds, record_seconds: run times of the evaluation and of the recording.
+        pace: time of a step, if the world has it.
     """
 
     reported_by = "analysis.recording.replay:report"
@@ -321,7 +325,7 @@ class Recorded(Answer):
 
     @property
     def steps(self) -> int:
-        """Steps recorded, t = 0 included."""
+        """Number of recorded steps, with t = 0."""
         return sum(row.time + 1 for row in self.rows)
 
 
@@ -334,17 +338,20 @@ def record(
     progress: ProgressCallback | None = None,
     doing: Doing = quiet,
 ) -> Recorded:
-    """Evaluate, choose, and write the file at `path`. Memory: one rollout in full, and a few numbers a cell.
+    """Evaluate, select, and write the file at `path`. Memory: one rollout in full, and a few numbers for each cell.
 
-    An interruption (KeyboardInterrupt) ends it with the rollouts that are done, `partial`; the file is then valid, and
-    at NAME.interrupted.mcap where `path` was there before. If none is done, nothing is written and it is raised again.
+    Returns:
+        The result. After an interruption (KeyboardInterrupt): the finished rollouts, `partial`; the file is valid, and
+        has the name NAME.interrupted.mcap if `path` existed before.
 
     Raises:
-        InputError: what cannot be recorded or written. UsageError: `path`.partial is left from an earlier run.
+        InputError: the request cannot be recorded or the file cannot be written.
+        UsageError: `path`.partial exists from an earlier run.
+        KeyboardInterrupt: before the first rollout was finished; nothing is written.
     """
     request.check()
     if not request.outcomes and request.evaluated and is_certain(world, plan, request.loop):
-        request = replace(request, evaluated=1)  # every run is the same: whatever is picked is rollout 0
+        request = replace(request, evaluated=1)  # all rollouts are equal: every pick is rollout 0
     engine, began, done = engine_of(world, plan, request), time.perf_counter(), Recorded(Path(path), pace=world.pace)
     log = LogWriter(path, chunk_size=CHUNK_SIZE, discard=True)
     try:
@@ -370,12 +377,13 @@ def _write(
     progress: ProgressCallback | None,
     doing: Doing,
 ) -> None:
-    """The whole log; it is worth keeping once a rollout is complete. `doing`: told which rollout is written."""
+    """Write the log; it is kept once a rollout is complete. `doing`: called with the current rollout."""
     began = time.perf_counter()
 
     def write(message: Message) -> None:
         log.write(log.channel(message.topic, type_of(message.topic)), message.time, message.data)
 
+    # World and plan come first, so that a recovered file has them.
     log.attach(contents.WORLD, "application/octet-stream", world.to_bytes())
     log.attach(contents.PLAN, "application/json", contents.plan_bytes(plan))
     if request.scenario is not None:
@@ -395,6 +403,7 @@ def _write(
         if not done.rows:
             done.first = trace
         done.rows.append(row)
+        # From the first complete rollout on, an interrupted file is worth keeping.
         log.discard = False
         doing(
             f"writing rollout {len(done.rows) + 1} of {len(ids)}" if len(done.rows) < len(ids) else "closing the file"
@@ -416,7 +425,7 @@ def _row(trace: Trace, picks: dict[str, int], stage: Stage) -> Row:
 
 
 def _describe(log: LogWriter, settings: contents.Settings, tally: Tally, world: World, plan: Plan) -> None:
-    """Attachments and metadata that are known once the rollouts are chosen."""
+    """Write attachments and metadata that depend on the selected rollouts."""
     text, cells = contents.tally_bytes(tally, plan.ends_by_deadline)
     log.attach(contents.SETTINGS, "application/json", contents.json_bytes(settings.to_json()))
     log.attach(contents.TALLY, "application/json", text)
@@ -431,20 +440,21 @@ def recorded_messages(
     """Each rollout with its messages, one after the other in time. Raises UsageError beyond the clock of ROS."""
     clock = Clock(0, step_seconds)
     for trace in traces:
+        # ROS times are int32 seconds.
         if clock.at(trace.time) > MOST_SECONDS * 1e9:
             raise UsageError(
                 f"the rollouts take more than {MOST_SECONDS:.0f} s one after the other",
-                fix=f"make {argument('step_seconds')} less, or record fewer",
+                fix=f"reduce {argument('step_seconds')}, or record fewer rollouts",
             )
         yield trace, rollout_messages(stage, trace, clock)
         clock = clock.after(trace.time)
 
 
 def state_of_rollout(world: World, plan: Plan, request: Request, step: int) -> MissionState:
-    """Where the one rollout of the request stands at the end of a step. Raises UsageError."""
+    """The mission state of the request's one rollout at the end of a step. Raises UsageError."""
     said = argument("state_at", step)
     if plan.is_foreign:
-        raise UsageError(f"{said}: robots that follow given paths have no state to save", fix="leave it out")
+        raise UsageError(f"{said}: robots that follow fixed paths have no state to save", fix="omit it")
     if len(request.ids) != 1 or request.loop != "closed":
         raise UsageError(f"{said} without one closed-loop rollout", expected=f"{argument('ids')} with one number")
     if plan.state is not None and step <= plan.state.step:
@@ -453,13 +463,13 @@ def state_of_rollout(world: World, plan: Plan, request: Request, step: int) -> M
     found = loop.state_at(step, request.seed, request.ids[0])
     if found is None:
         raise UsageError(
-            f"{said}: rollout {request.ids[0]} has ended by then", expected="a step before its end, 0 or more"
+            f"{said}: rollout {request.ids[0]} has ended before", expected="a step before its end, 0 or more"
         )
     return found
 
 
 def scenario_text(source: str) -> bytes | None:
-    """The text of the scenario file that an INPUT names; None for any other input."""
+    """The text of the scenario file of an INPUT; None for any other input."""
     file = input_path(source)
     if file.suffix.lower() not in YAML or why_no_file(file):
         return None

@@ -49,26 +49,27 @@ if TYPE_CHECKING:
     from planner.rollouts.engine import Engine
     from planner.rollouts.names import EngineName
 
-# A stored message against the one that a replay makes: the same, or what differs, in words.
+# Comparison of a stored message with the replayed one.
 
 _REPEATED = ("/rollout/event", "/events")
 """Topics with several messages at one time."""
 
 
 class Difference(Exception):
-    """Something is not as recorded; its text says what."""
+    """The replay differs from the recording; the text says how."""
 
 
 def may_be_lost(stored: LogMessage, made: Message) -> bool:
-    """Whether the next message that is stored, in a log with gaps, can be a later one than this one of the replay."""
+    """Whether the next stored message of a log with gaps can be later than this message of the replay."""
     if stored.log_time != made.time:
         return stored.log_time > made.time
     return stored.topic != made.topic or (made.topic in _REPEATED and stored.data != made.data)
 
 
 def compare(stored: LogMessage, made: Message, stage: Stage, rollout: int, source: Path) -> None:
-    """Raise Difference unless the stored message is the one that the replay made."""
+    """Raise Difference unless the stored message equals the replayed one."""
     where = f"rollout {rollout}, {seconds_text(made.time)}"
+    # Most messages are equal, so bytes are compared before anything is decoded.
     if (stored.topic, stored.log_time) == (made.topic, made.time) and stored.data == made.data:
         if stored.publish_time != made.time:
             raise Difference(f"{where}: {made.topic} says that it was published at {stored.publish_time} ns")
@@ -84,7 +85,7 @@ def compare(stored: LogMessage, made: Message, stage: Stage, rollout: int, sourc
 
 
 def compare_outcomes(recorded: RecordedOutcomes, results: RolloutResults) -> None:
-    """Raise Difference unless the recorded outcomes of these rollouts, as far as they are there, are the same."""
+    """Raise Difference unless the recorded outcomes of these rollouts equal the replayed ones."""
     stop = results.start + len(results.visited)
     there = slice(*np.searchsorted(recorded.ids, (results.start, stop)))
     ids = recorded.ids[there]
@@ -97,7 +98,7 @@ def compare_outcomes(recorded: RecordedOutcomes, results: RolloutResults) -> Non
 
 
 def _fields(stored: LogMessage, made: Message, stage: Stage, source: Path) -> str:
-    """Which fields of a data message differ."""
+    """The first difference between the fields of two data messages."""
     if made.topic == "/rollout/event":
         said, expected = _words(made.topic, stored.data, stage), _words(made.topic, made.data, stage)
         return f"recorded {said}; the replay has {expected}"
@@ -117,23 +118,23 @@ def _fields(stored: LogMessage, made: Message, stage: Stage, source: Path) -> st
         place = next(i for i, (a, b) in enumerate(zip(left, right, strict=True)) if a != b)
         whose = "cell" if field.name == "area_of" else "robot"
         return f"{made.topic}: {field.name} of {whose} {place} recorded {left[place]}, replayed {right[place]}"
-    return f"{made.topic}: encoded otherwise"
+    return f"{made.topic}: another encoding"
 
 
 def _words(topic: str, data: bytes, stage: Stage) -> str:
-    """A message in words."""
+    """A message as text."""
     if topic != "/rollout/event":
         return topic
     try:
         event = schemas.Event.FromString(bytes(data))
         row = np.array([event.step, event.robot, event.kind, event.area, event.other])
         return f'event "{event_line(row, stage.world, stage.plan).text}"'
-    except (ValueError, IndexError, DecodeError):  # a cell off the map, a kind that is none
-        return f"{topic} that means nothing"
+    except (ValueError, IndexError, DecodeError):  # a cell off the map, an unknown kind
+        return f"{topic} with invalid values"
 
 
 def seconds_text(nanoseconds: int) -> str:
-    """A time of the file."""
+    """A time in the file."""
     return f"{nanoseconds / 1e9:g} s"
 
 
@@ -143,16 +144,16 @@ ENDS_EARLY = "ends early"
 
 @dataclass
 class Replayed:
-    """What a replay found, as far as it has come.
+    """The result of a replay, also while it runs.
 
     Attributes:
-        path: the file. settings: what it says was recorded.
-        difference: the first thing that is not the same, in words; "" when everything is.
-        rollouts, messages: compared and found the same, rollouts from beginning to end. asked: rollouts that there
-            should be. partial: the file says that it is not whole, or it ends early; "" or how, in words.
-        drawn: drawn messages were compared too, byte for byte; else data alone.
-        everything: the evaluated rollouts were run again too, for tally, outcomes and picks.
-        engine: that ran. seconds: the replay took.
+        path: the file. settings: of the recording.
+        difference: the first difference as text; "" if there is none.
+        rollouts, messages: numbers of equal complete rollouts and messages. asked: rollouts in the recording.
+        partial: "" for a complete file, else how it is incomplete.
+        drawn: drawn messages were also compared, byte for byte; else only data messages.
+        everything: the evaluated rollouts were also repeated, for tally, outcomes and picks.
+        engine: engine of the rollouts. seconds: run time.
     """
 
     path: Path
@@ -169,26 +170,26 @@ class Replayed:
 
     @property
     def identical(self) -> bool:
-        """Whether nothing differs, as far as a partial file goes."""
+        """Whether no difference was found, in a partial file up to its end."""
         return not self.difference
 
 
 def replay(
     path: str | Path, engine: EngineName = "auto", *, everything: bool = False, progress: ProgressCallback | None = None
 ) -> Replayed:
-    """Run a recording again and compare.
+    """Repeat a recording and compare.
 
-    Plan and formulas are checked too: the plan must be what follows from its allocation (and the allocation what the
-    planner makes, unless a plan file was given). A recording of another version of this program is compared by its
-    data topics alone. Of one that ends early every message must be the same; of a recovered one too, and what was lost
-    in between may be missing.
+    Plan and formulas are checked too: the plan must follow from its allocation (and the allocation from the planner,
+    unless a plan file was given). A recording of another version of the program is compared by its data topics only. In
+    a file that ends early or was recovered, all stored messages must be equal; lost ones may be missing.
 
     Args:
-        engine: to run with; the answer is the same.
-        everything: also run all evaluated rollouts, and compare tally, outcomes and picks.
+        path: the recording. engine: for the rollouts; the result does not depend on it.
+        everything: also repeat all evaluated rollouts, and compare tally, outcomes and picks.
+        progress: called while evaluated rollouts are repeated.
 
     Raises:
-        InputError: the file cannot be read, holds no recording, or one with random numbers for each visit.
+        InputError: the file cannot be read, is not a recording, or has random numbers for each visit.
     """
     from planner.rollouts.engine import choose_engine
 
@@ -221,7 +222,7 @@ class _Comparison:
             found.partial = "recovered"
 
     def run(self) -> None:
-        """Raise Difference at the first one."""
+        """Raise Difference at the first difference."""
         from planner.rollouts.engine import Rolling, make_engine
 
         source = str(self.log.path)
@@ -236,10 +237,10 @@ class _Comparison:
         if self.found.everything:
             self._evaluated(engine)
 
-    # --- what stands beside the messages ---
+    # --- attachments and metadata ---
 
     def _plan(self, world: World, source: str) -> Plan:
-        """The plan, if it is what the planner makes; one that was given, if it is what follows from its allocation."""
+        """The plan of the planner; a given plan file must follow from its allocation. Raises Difference."""
         data = self.log.attachment(contents.PLAN)
         try:
             plan = contents.read_plan(data, world, source)
@@ -256,14 +257,14 @@ class _Comparison:
         return follows
 
     def _descriptions(self, world: World, plan: Plan) -> None:
-        """Metadata, formulas, and that nothing is there twice."""
+        """Check metadata, formulas and schemas, and that no attachment occurs twice."""
         names = [attached.name for attached in self.log.attachments]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise Difference(f"the attachment {twice[0]} is there {names.count(twice[0])} times")
+            raise Difference(f"the attachment {twice[0]} occurs {names.count(twice[0])} times")
         expected = contents.metadata_of(self.settings, world, len(plan.robots))
         for name, items in self.log.metadata:
-            said_of = {key: value for key, value in items.items() if key != "mode"}  # which 0.3 said too
+            said_of = {key: value for key, value in items.items() if key != "mode"}  # 0.3 wrote it too
             if name == contents.METADATA and said_of != expected:
                 wrong = sorted(key for key in {*said_of, *expected} if said_of.get(key) != expected.get(key))[0]
                 said = f"{said_of.get(wrong)!r} where the attachments say {expected.get(wrong)!r}"
@@ -280,10 +281,10 @@ class _Comparison:
         try:
             own = type_of(topic)
         except KeyError:
-            raise Difference(f"a topic that is none of a recording's: {topic[:80]!r}") from None
+            raise Difference(f"an unknown topic: {topic[:80]!r}") from None
         found = None if schema is None else (schema.name, schema.encoding, bytes(schema.data), encoding)
         if found != (own.name, own.encoding, own.data, own.message_encoding):
-            raise Difference(f"{topic}: another schema than {own.name}")
+            raise Difference(f"{topic}: the schema is not {own.name}")
 
     # --- the rollouts in full ---
 
@@ -307,9 +308,9 @@ class _Comparison:
                 kept = next(stored, None)
             self.found.rollouts += whole
         if kept is not None:
-            raise Difference(f"after the last rollout there is more: {kept.topic} at {seconds_text(kept.log_time)}")
+            raise Difference(f"messages after the last rollout: {kept.topic} at {seconds_text(kept.log_time)}")
 
-    # --- what all evaluated rollouts came to ---
+    # --- results of all evaluated rollouts ---
 
     def _evaluated(self, engine: Engine) -> None:
         count = self.settings.evaluated
@@ -321,6 +322,7 @@ class _Comparison:
         if not count:
             self._same_tally(tally_of(engine, self.settings.ids), stored)
             return
+        # Check the ids first: a missing outcome would otherwise pass.
         if outcomes is not None and not self._are_all(outcomes.ids, count):
             raise Difference(f"{OUTCOMES}: {len(outcomes.ids)} outcomes, expected ids 0 to {count - 1}")
         picker = Picker(engine.accessible)
@@ -339,10 +341,11 @@ class _Comparison:
         return self.recovered and all(attached.name != name for attached in self.log.attachments)
 
     def _are_all(self, ids: NDArray[np.int64], count: int) -> bool:
-        """Whether the ids of outcomes are those that there should be, as far as they can have been recovered."""
+        """Whether the ids of outcomes are the expected ones; recovered files may lack some."""
         return bool(ids.max(initial=0) < count) if self.recovered else np.array_equal(ids, np.arange(count))
 
     def _same_tally(self, made: Any, stored: Any) -> None:
+        # Another version may have another key for equal counts.
         stored = replace(stored, key=made.key) if not self.found.drawn else stored
         if made != stored:
             raise Difference(f"{contents.TALLY}: not the tally of these rollouts")
@@ -352,18 +355,18 @@ def _area_facts(area: Any) -> tuple[int, int, list[int]]:
     return area.level, area.robot, area.cells.tolist()
 
 
-# `mrac-jax inspect`: what is in a recording, and each rollout with its events in words.
+# `mrac-jax inspect`: contents of a recording, and each rollout with its events as text.
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """What is in a recording.
+    """Contents of a log.
 
     Attributes:
-        partial: why it is cut short. settings: None for a log that holds none of ours. shape: of the world.
+        partial: why it is incomplete. settings: None for a log of another program. shape: of the world.
         topics: schema and number of messages of each. attachments: bytes of each.
-        rollouts: those in full, as the JSON object tells them: coverage as fractions of the accessible cells, how it
-            ended (`text`), and the events in words.
+        rollouts: recorded rollouts as JSON objects: coverage as fractions of the accessible cells, outcome, end
+            (`text`) and events as text.
     """
 
     path: Path
@@ -380,7 +383,7 @@ class Inspection:
 
 
 def inspect(path: str | Path) -> Inspection:
-    """Look into a log. One that is not ours is listed by its topics. Raises InputError for one that cannot be read."""
+    """List the contents of a log; of other programs' logs only the topics. Raises InputError if it cannot be read."""
     log = open_log(path)
     names = [attached.name for attached in log.attachments]
     ours = contents.SETTINGS in names and contents.WORLD in names
@@ -415,7 +418,7 @@ def _rollout(one: RecordedRollout, world: World, plan: Plan | None, source: Path
     try:
         lines = [event_line(row, world, plan) for row in trace.events]
     except (ValueError, IndexError) as error:
-        raise InputError(f"rollout {trace.rollout}: an event that means nothing ({error})", source=source) from error
+        raise InputError(f"rollout {trace.rollout}: an invalid event ({error})", source=source) from error
     cells = max(one.accessible, 1)
     visited, survived, alive = (int(values[-1]) for values in (one.visited, one.survived, one.alive))
     ended = trace.outcome if plan is None else plan.ending(trace.outcome)
@@ -436,10 +439,10 @@ def _rollout(one: RecordedRollout, world: World, plan: Plan | None, source: Path
     }
 
 
-# What `record`, `replay`, `inspect` and `recover` say.
+# Reports of `record`, `replay`, `inspect` and `recover`.
 
 MOST_LINES = 40
-"""Events shown of a rollout: losses, reallocations and shares first."""
+"""Events shown for a rollout: losses, reallocations and shares take precedence."""
 FIRST = {kind.name.lower() for kind in (EventKind.HIT, EventKind.REALLOCATED, EventKind.SHARED)}
 
 
@@ -447,7 +450,7 @@ FIRST = {kind.name.lower() for kind in (EventKind.HIT, EventKind.REALLOCATED, Ev
 
 
 def report(done: Recorded) -> Report:
-    """The file, and what its rollouts came to."""
+    """The file, and the results of its rollouts."""
     kept = f"{done.bytes / 1e6:.2f} MB, {counted(done.steps, 'step')} in full"
     return Report(
         "record", "record", str(done.path), f"{done.path}: {kept}", lambda: _recorded_json(done),
@@ -470,7 +473,7 @@ def _rollouts_table(done: Recorded) -> Table:
 
 
 def _recorded_json(done: Recorded) -> Json:
-    """Of an interrupted recording, the rollouts that were done."""
+    """The recorded rollouts; after an interruption those that were done."""
     cells = done.tally.accessible
     rows = [
         asdict(row) | {"visited": row.visited / cells, "survived": row.survived / cells, "cells_visited": row.visited}
@@ -490,10 +493,10 @@ def _recorded_json(done: Recorded) -> Json:
 
 
 def interrupted_lines(done: Recorded, asked: Path) -> list[str]:
-    """What is said of an interrupted recording that should have gone to `asked`; nothing of a whole one."""
+    """The note on an interrupted recording for the target `asked`; empty for a complete one."""
     if not done.partial:
         return []
-    stays = "" if done.path == asked else f"; {asked} was there before and stays"
+    stays = "" if done.path == asked else f"; {asked} existed before and is kept"
     count = f"{len(done.rows):,} of {counted(len(done.settings.ids), 'rollout')}"
     return [f"interrupted: {done.path} holds {count}{stays}"]
 
@@ -502,16 +505,16 @@ def interrupted_lines(done: Recorded, asked: Path) -> list[str]:
 
 
 def replayed(found: Replayed) -> Report:
-    """Whether everything is the same, as far as it was compared; JSON's `partial`: the file is not whole."""
+    """The result of the comparison; JSON's `partial`: the file is incomplete."""
     changed = {"path": str(found.path), "settings": found.settings.to_json(), "partial": bool(found.partial)}
     findings = []
     if not found.drawn:
         verdict = "rollouts identical, drawings not compared" if found.identical else "drawings not compared"
-        findings = [f"made by another version (mrac-jax {found.settings.mrac_jax}): {verdict}"]
+        findings = [f"written by another version (mrac-jax {found.settings.mrac_jax}): {verdict}"]
     return Report(
         "replay", "replay", str(found.path), f"{found.path}: {_verdict(found)}",
         lambda: asdict(found) | changed | {"identical": found.identical}, findings,
-        took=[f"run again in {found.seconds:.1f} s, {found.engine}"],
+        took=[f"repeated in {found.seconds:.1f} s, {found.engine}"],
     )  # fmt: skip
 
 
@@ -519,8 +522,8 @@ def _verdict(found: Replayed) -> str:
     messages = counted(found.messages, "message")
     if not found.identical:
         verb = "is" if found.messages == 1 else "are"
-        return f"NOT identical: {found.difference} ({messages} before it {verb} the same)"
-    rest = "" if found.everything else "; tally and outcomes were not run again: --all"
+        return f"NOT identical: {found.difference} ({messages} before it {verb} equal)"
+    rest = "" if found.everything else "; tally and outcomes were not compared: add --all"
     if found.partial:
         how = f"the file {found.partial}" if found.partial == ENDS_EARLY else f"the file is {found.partial}"
         rollouts = f"{found.rollouts:,} of {counted(found.asked, 'rollout')}"
@@ -533,9 +536,9 @@ def _verdict(found: Replayed) -> str:
 
 
 def inspected(found: Inspection, most_events: int | None) -> Report:
-    """Contents, then each rollout with at most so many events of its timeline (None: all)."""
+    """Contents, then each rollout with at most `most_events` events of its timeline (None: all)."""
     kept = f"{found.bytes / 1e6:.2f} MB, {found.seconds:g} s, written by {found.library}"
-    cut = [f"not the whole log: {found.partial}"] if found.partial else []
+    cut = [f"incomplete log: {found.partial}"] if found.partial else []
     parts = [Part(f"Rollout {one['rollout']}", notes=["", *_timeline(one, most_events)]) for one in found.rollouts]
     return Report(
         "inspect", "inspect", str(found.path), f"{found.path}: {kept}", lambda: _inspection_json(found),
@@ -551,14 +554,14 @@ def _inspection_json(found: Inspection) -> Json:
 def _settings_line(found: Inspection) -> str:
     settings, shape = found.settings, found.shape
     if settings is None or shape is None:
-        return "no recording of mrac-jax: no settings and no world in it"
+        return "not a recording of mrac-jax: no settings and no world"
     some = f"{counted(settings.evaluated, 'rollout')} evaluated"
-    evaluated = some if settings.evaluated else "these rollouts alone evaluated"
+    evaluated = some if settings.evaluated else "only these rollouts evaluated"
     kept = ", their outcomes kept" if settings.outcomes else ""
-    checks = "" if settings.threat_checks == "every_visit" else ", threats at first visits alone"
+    checks = "" if settings.threat_checks == "every_visit" else ", threats act only at first visits"
     return (
         f"{settings.loop} loop{checks} on {shape[0]} x {shape[1]} cells, seed {settings.seed}, {evaluated}{kept}, "
-        f"{settings.step_seconds:g} s a step, mrac-jax {settings.mrac_jax}"
+        f"{settings.step_seconds:g} s per step, mrac-jax {settings.mrac_jax}"
     )
 
 
@@ -591,7 +594,7 @@ def _timeline(rollout: Json, most: int | None) -> Iterator[str]:
 
 
 def recovered(found: Recovered) -> Report:
-    """What was saved and what is lost; names from the file are quoted."""
+    """The saved and the lost parts; names from the file are quoted."""
     saved = f"{counted(found.messages, 'message')} in {counted(found.chunks, 'chunk')}"
     others = counted(len(found.attachments), "attachment"), counted(len(found.metadata), "metadata record")
     findings = [f"lost {lost}" for lost in found.lost]

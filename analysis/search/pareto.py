@@ -1,7 +1,7 @@
-"""Coverage against robots lost against time: one team on one map under many policies, on common random numbers.
+"""Pareto front of coverage, robots lost and mission time over policies and their limits, for one team on one map.
 
-Every setting rolls out the same ids with the same seed, so robot i meets the same luck in all of them (SPEC section 14)
-and what they differ in is the setting.
+All settings are simulated with the same rollout ids and seed (common random numbers, docs/spec.md section 14), so that
+differences between settings have a small variance.
 """
 
 from __future__ import annotations
@@ -33,38 +33,36 @@ from planner.rollouts.tables import AllPairs
 from planner.settings import SETTINGS, Settings
 from planner.world.world import World
 
-# The rules behind `mrac-jax front`: which settings are looked at, which of them nothing beats, which one is picked.
-#
-# Pure functions of numbers; what rolls out is `analysis.search.pareto`.
+# Rules of `mrac-jax front`: settings to simulate, dominance, selection. Pure functions of numbers.
 
 LANDMARKS = (*(tenth / 10 for tenth in range(1, 10)), 0.95, 0.99)
-"""Coverage, fractions of the accessible cells, that prices are named for; missions are cut where they reach it."""
-RESERVES = (0.1, 0.25, 0.5)
-MOST_WORTHS = 16
-"""Steps of the ladder of `robot_value`, each twice the one before."""
-NEXT_TO_NONE = 0.02
-"""Robots lost on average below which the ladder ends."""
+"""Coverage, fractions of the accessible cells: rows of the table of losses; missions are ended early at these marks."""
+RISK_CAPS = (0.1, 0.25, 0.5)
+MOST_ROBOT_VALUES = 16
+"""Largest number of values of `robot_value` in the ladder; each is twice the one before."""
+NEARLY_NONE = 0.02
+"""Mean robots lost below which the ladder ends."""
 USUAL, CELLS = 4096, 2**23
-"""Rollouts of a setting where nobody says how many, and the cells that they cover together at most."""
+"""Default rollouts of a setting, and the largest number of cells times rollouts for that default."""
 HALVINGS = 3
-"""Values of `robot_value` tried between the two that a goal lies between; and missions ended between those that are
-left."""
+"""Values of `robot_value` tried between two neighbours that bracket a goal; then missions ended between these two."""
 KNEE = 0.1
-"""How far above the straight price between two settings a third has to be to be named: a share of what it costs."""
+"""Least height of a knee above the straight line between two settings, as a share of the difference in coverage."""
 FAMILIES = ("mrac", "per_cell", "risk_cap", "robot_value")
 
 
 def usual_rollouts(world: World, starts: NDArray[np.int64]) -> int:
-    """Of each setting, where nobody says how many: fewer on large maps, so that a front is a matter of a minute.
+    """Default number of rollouts of a setting: a power of two, 16 to USUAL, smaller on larger maps.
 
-    By the map alone, as the same seed has to give the same answer on any machine: a power of two, 16 to USUAL.
+    It depends on the map only, so that the same seed gives the same result on any machine.
     """
     cells = int(world.accessible(starts).sum())
+    # A power of two, so that the default does not vary with small changes of the map.
     return max(16, min(USUAL, 1 << (CELLS // cells).bit_length() - 1))
 
 
 class Setting(NamedTuple):
-    """What a point of the front stands for: a policy with its limits, and the step at which the mission is ended."""
+    """A policy with its limits, and the step at which the mission is ended."""
 
     policy: str
     risk_cap: float | None = None
@@ -73,7 +71,7 @@ class Setting(NamedTuple):
 
     @property
     def family(self) -> str:
-        """What it is varied with, one of FAMILIES: a policy alone and cut short, a reserve, a worth."""
+        """The curve to which the setting belongs, one of FAMILIES."""
         return (
             "robot_value" if self.robot_value is not None else "risk_cap" if self.risk_cap is not None else self.policy
         )
@@ -92,12 +90,12 @@ class Setting(NamedTuple):
         return self.said(UNPACED)
 
     def said(self, pace: Pace) -> str:
-        """In words: "per_cell, robot value 40, ended at step 120"."""
+        """For reports: "per_cell, robot value 40, ended at step 120"."""
         cut = "" if self.deadline is None else f", ended at {pace.step(self.deadline)}"
         return self.policy + "".join(f", {SETTINGS[name].title} {value:g}" for name, value in self.limits.items()) + cut
 
     def options(self) -> list[str]:
-        """The options of `evaluate` that ask for it."""
+        """The options of `evaluate` for this setting."""
         words = ["--policy", self.policy]
         for name, value in self.limits.items():
             words += [f"--{name.replace('_', '-')}", exactly(value)]
@@ -112,7 +110,7 @@ class Figures(NamedTuple):
     time: float
 
     def beats(self, other: Figures) -> bool:
-        """Nowhere worse, somewhere better."""
+        """Whether it dominates the other: nowhere worse and somewhere better."""
         return (
             self.coverage >= other.coverage
             and self.losses <= other.losses
@@ -123,7 +121,7 @@ class Figures(NamedTuple):
 
 @dataclass(frozen=True)
 class Goal:
-    """What to pick by: most coverage at no more than `losses` robots lost, or fewest lost with `target` covered."""
+    """The rule of selection: most coverage with at most `losses` robots lost, or fewest lost with `target` covered."""
 
     losses: float | None = None
     target: float | None = None
@@ -132,11 +130,11 @@ class Goal:
         return self.losses is not None or self.target is not None
 
     def allows(self, figures: Figures) -> bool:
-        """Whether a setting may be picked."""
+        """Whether a setting meets the limit."""
         return figures.losses <= self.losses if self.losses is not None else figures.coverage >= (self.target or 0.0)
 
     def ranked(self, points: Sequence[Figures]) -> list[int]:
-        """The places of those that it allows, the best first; of equal ones the first."""
+        """Indices of the points that meet the limit, best first; equal points keep their order."""
 
         def rank(place: int) -> tuple[float, float, float]:
             coverage, losses, time = points[place]
@@ -145,12 +143,12 @@ class Goal:
         return sorted((place for place, figures in enumerate(points) if self and self.allows(figures)), key=rank)
 
     def pick(self, points: Sequence[Figures]) -> int | None:
-        """The place of the best; None: it allows none."""
+        """Index of the best point; None: no point meets the limit."""
         return next(iter(self.ranked(points)), None)
 
 
 def make_goal(losses: float | None, target: float | None) -> Goal:
-    """The goal that options ask for; raises UsageError for one out of range, or for both."""
+    """The goal of the options. Raises UsageError for a value out of range, or if both are given."""
     if losses is not None and target is not None:
         raise UsageError(f"both {argument('losses')} and {argument('target')} are given", expected="one of them")
     Numbers(0, what="a number of robots lost on average").check("losses", losses, optional=True)
@@ -159,39 +157,40 @@ def make_goal(losses: float | None, target: float | None) -> Goal:
 
 
 def check_goal(goal: Goal, robots: int) -> None:
-    """Raise UsageError for a limit on losses that no team of so many robots can break."""
+    """Raise UsageError for a limit on losses above the number of robots."""
     if goal.losses is not None and goal.losses > robots:
-        expected = f"at most {robots}, the robots that there are to lose"
-        raise UsageError(argument("losses", goal.losses), expected=expected, fix="leave it out to see what all costs")
+        expected = f"at most {robots}, the number of robots"
+        raise UsageError(argument("losses", goal.losses), expected=expected, fix="omit it to see the whole front")
 
 
 def efficient(points: Sequence[Figures]) -> list[bool]:
-    """Which of them no other one beats."""
+    """For each point, whether no other point dominates it."""
     return [not any(other.beats(one) for other in points) for one in points]
 
 
 def knee(points: Sequence[Figures], low: Figures, high: Figures) -> int | None:
-    """The place of the best bargain between two settings: farthest above the straight line from one to the other.
+    """Index of the knee between two settings: the point farthest above the straight line from `low` to `high`.
 
-    Coverage and robots lost are counted in shares of the way from `low` to `high`. None: no point is KNEE above it.
+    Coverage and robots lost are scaled to their differences between `low` and `high`. None: no point is KNEE above it.
     """
     more, lost = high.coverage - low.coverage, high.losses - low.losses
     if not points or more <= 0 or lost <= 0:
         return None
+    # Distance from the diagonal of the unit square that `low` and `high` span.
     above = [(one.coverage - low.coverage) / more - (one.losses - low.losses) / lost for one in points]
     place = max(range(len(points)), key=above.__getitem__)
     return place if above[place] >= KNEE else None
 
 
 def first_worth(largest_threat: float) -> float:
-    """Where the ladder begins: a robot is worth what the worst cell costs, 1 / p, in two digits."""
+    """Start of the ladder: 1 / p of the most dangerous cell, to two digits."""
     return float(f"{1 / largest_threat:.2g}")
 
 
-def careful_first(largest_threat: float, smallest_threat: float, cells: int) -> list[float]:
-    """The whole ladder of `robot_value` from its end, with which every danger is refused, down to `first_worth`."""
+def descending_ladder(largest_threat: float, smallest_threat: float, cells: int) -> list[float]:
+    """The ladder of `robot_value` in descending order, from a value that excludes all danger to `first_worth`."""
     first, ladder = first_worth(largest_threat), list[float]()
-    for step in range(MOST_WORTHS):
+    for step in range(MOST_ROBOT_VALUES):
         ladder.insert(0, first * 2**step)
         if ladder[0] > cells / smallest_threat:
             break
@@ -199,27 +198,30 @@ def careful_first(largest_threat: float, smallest_threat: float, cells: int) -> 
 
 
 def between(low: float, high: float) -> float:
-    """The worth half-way between two, as a ratio, in three digits."""
+    """The geometric mean of two values, to three digits."""
     return float(f"{(low * high) ** 0.5:.3g}")
 
 
 def parse_numbers(name: str, text: str | None) -> tuple[float, ...] | None:
-    """The numbers of "5,10,20"; "" for none of them; None stays None. Raises UsageError naming the option."""
+    """The numbers of "5,10,20"; () for an empty text; None for None. Raises UsageError that names the option."""
     if text is None:
         return None
     return numbers_of(name, text, 'numbers, as "5,10,20"') if text.strip() else ()
 
 
-# What a front holds: settings with what they come to, which of them nothing beats, the pick and its plan.
+# Results: settings with their estimates, the Pareto front, and the selected point with its plan.
 
 
 @dataclass(frozen=True)
 class Point:
-    """A setting, and what it comes to: `coverage` visited, a fraction of the accessible cells; robots lost; steps.
+    """A setting with its estimates.
 
-    `value` visited, a fraction of what all free cells are worth; None: nobody said what that is. `least`, `most`: one
-    bound each that coverage is not below, and that losses are not above, by chance `doubt` of `point_of`. `exact`: all
-    of it is known, not sampled.
+    Attributes:
+        coverage: visited, a fraction of the accessible cells. losses: robots. time: steps.
+        value: visited, a fraction of the value of all free cells; None: the map has no values.
+        least, most: lower confidence bound of the mean coverage, upper bound of the mean losses; each is wrong with
+            probability at most `doubt` of `point_of`.
+        exact: exact expectations, without sampling.
     """
 
     setting: Setting
@@ -238,23 +240,22 @@ class Point:
 
     @property
     def sure(self) -> Figures:
-        """The bounds in the place of the means: what a goal has to allow to be kept for sure."""
+        """The bounds in place of the means: a goal that allows them is met with confidence."""
         return Figures(self.least, self.most, self.time.mean)
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Front(Searched):
-    """The answer; `words`: without the setting.
+    """The result of `front`; `words`: arguments of the command without the policy and its limits.
 
     Attributes:
-        starts: of the team, int64 `[K, 2]`. goal: what to pick by. points: the settings looked at.
-        pick: the place of the point that the goal picks; None: no goal, nothing is sure to keep it, or not all was
-            looked at.
-        confirmed: the pick on as many rollouts that had no part in the choice, ids from `rollouts` on. tried: so many
-            settings were rolled out there, the best first, until one was sure to keep the limit: each with a chance of
-            error of half the one before, so that the pick keeps it with 95 %.
-        priced: without a goal: the settings that the headline speaks of on those other rollouts.
-        plan_file: that the plan of the pick is written to; "" for none.
+        starts: of the team, int64 `[K, 2]`. goal: the rule of selection. points: the simulated settings.
+        pick: index of the selected point; None: no goal, no point that meets it with confidence, or an interruption.
+        confirmed: the selected point on fresh rollouts, ids from `rollouts` on, as many as were used for the choice.
+        tried: number of settings that were simulated there, best first, until one met the limit. The error probability
+            of each try is half that of the one before, so that the selected point meets the limit with 95 % confidence.
+        priced: without a goal: the settings of the summary, on fresh rollouts.
+        plan_file: path of the selected point's plan; "" if none is written.
     """
 
     reported_by = "analysis.search.reports:front_report"
@@ -271,33 +272,34 @@ class Front(Searched):
 
     @cached_property
     def efficient(self) -> tuple[bool, ...]:
-        """Of each point, whether no other covers as much with as few robots lost in as little time, or better."""
+        """For each point, whether it is on the Pareto front of coverage, losses and time."""
         return tuple(efficient([point.figures for point in self.points]))
 
     @cached_property
     def cheap(self) -> tuple[bool, ...]:
-        """Of each point, whether no other covers as much with as few robots lost, or better, however long it takes."""
+        """For each point, whether it is on the Pareto front of coverage and losses, whatever its time."""
         return tuple(efficient([point.figures._replace(time=0.0) for point in self.points]))
 
     @property
     def picked(self) -> Point | None:
-        """The point itself."""
+        """The selected point."""
         return None if self.pick is None else self.points[self.pick]
 
     def cheapest(self, coverage: float, *families: str) -> Point | None:
-        """The point that covers so much, or more, with the fewest robots lost; None if none covers so much."""
+        """The point with the fewest robots lost that covers at least `coverage`; None if there is none."""
         of = [point for point in self.points if not families or point.setting.family in families]
         place = Goal(target=coverage).pick([point.figures for point in of])
         return None if place is None else of[place]
 
     def corners(self) -> tuple[Point, ...]:
-        """The setting that covers most at next to no robot lost, the one that covers most of all, and the knee between.
+        """The point with most coverage at nearly no losses, the knee if there is one, and the point with most coverage.
 
-        Where each costs robots, the first is the one that loses the fewest. One alone where the first covers most.
+        Where every point loses robots, the first is the one that loses the fewest. One point if the first covers most.
         """
         most = max(self.points, key=lambda point: point.coverage.mean)
         fewest = min(point.losses.mean for point in self.points)
-        free = [point for point in self.points if point.losses.mean <= max(fewest, NEXT_TO_NONE)]
+        # Without NEARLY_NONE, noise of 0.001 robots would select a point that covers nearly nothing.
+        free = [point for point in self.points if point.losses.mean <= max(fewest, NEARLY_NONE)]
         first = max(free, key=lambda point: (point.coverage.mean, -point.losses.mean))
         if most.coverage.mean <= first.coverage.mean:
             return (most,)
@@ -305,20 +307,21 @@ class Front(Searched):
         return (first, most) if place is None else (first, self.points[place], most)
 
     def plan_of(self, point: Point) -> Plan:
-        """The plan of a point; it ends the mission where the point does."""
+        """The plan of a point; it has the point's deadline."""
         return make_plan(self.world, self.starts, settings_of(self.settings, point.setting))
 
 
 def settings_of(settings: Settings, setting: Setting) -> Settings:
-    """The planner's settings with the policy of a point, for robots that take over from each other."""
+    """The planner's settings with the policy and limits of a point, for closed-loop missions."""
     return replace(settings, **setting._asdict(), plan_for="closed_loop", effort=None)
 
 
 def point_of(setting: Setting, found: Measured, cells: int, doubt: float, longest: int) -> Point:
-    """A setting with what it comes to.
+    """A setting with its estimates.
 
-    `doubt`: the chance that either of its bounds is wrong, for any distribution: one end of `Sampled.bounds`.
-    `longest`: steps that a run takes at most.
+    Args:
+        doubt: probability that a bound is wrong, for any distribution: one end of `Sampled.bounds`.
+        longest: upper bound of a rollout's steps.
     """
     return Point(
         setting,
@@ -332,27 +335,27 @@ def point_of(setting: Setting, found: Measured, cells: int, doubt: float, longes
     )
 
 
-RESERVED_CELLS = 1000
-"""Accessible cells up to which reserves are looked at unasked: held robots ask again in every step, which is slow."""
-FIRST_DOUBT = ALPHA / 2
-"""Chance that a bound on a setting is wrong, on the rollouts that choose and at the first try on others."""
+RISK_CAP_CELLS = 1000
+"""Accessible cells up to which risk caps are simulated by default: with a cap, waiting robots decide in every step."""
+FIRST_ERROR = ALPHA / 2
+"""Error probability of a bound, on the rollouts of the choice and at the first try on fresh rollouts."""
 TRIES = 6
-"""Settings that are tried on other rollouts, at most, until one is sure to keep a goal."""
+"""Largest number of settings that are tried on fresh rollouts."""
 AMPLE = 1.5
-"""Margins between a mean and its bound that a mission is ended beyond a target, so that other rollouts bear it out."""
+"""Margins between a mean and its bound by which a mission ends beyond a target, so that fresh rollouts confirm it."""
 SETTINGS_ABOUT = 32
-"""Of a front: the share of its exact seconds that each may take."""
-ENDS_AT_HOME = "robots come home: a mission that is ended early is one whose robots turn so as to be home by that step"
-BY_CELLS = "what is picked, and what nothing beats, goes by cells covered; value is told beside them"
+"""Number of settings of a typical front: each may use this fraction of the time limit for exact expectations."""
+ENDS_AT_HOME = "A mission that is ended early has a deadline: robots start the return so as to be at the base by it"
+BY_CELLS = "The Pareto front and the selected point count cells; value is shown in addition"
 
 
 @dataclass(frozen=True)
 class Ladders:
-    """What is looked at besides the policies as they are; None: as the map suggests.
+    """Settings in addition to the policies without limits; None: values that suit the map.
 
     Attributes:
-        reserves: with `per_cell`. worths: with `per_cell`.
-        landmarks: a mission is also ended at the step by which so much is covered on average, fractions.
+        risk_caps, robot_values: each with the policy `per_cell`.
+        landmarks: fractions; a mission is also ended at the step by which its mean coverage reaches one of them.
     """
 
     risk_caps: tuple[float, ...] | None = None
@@ -372,26 +375,28 @@ def find_front(
     progress: ProgressCallback | None = None,
     doing: Doing | None = None,
 ) -> Front:
-    """Look at `mrac` and `per_cell`, whole and ended early, and at `per_cell` over ladders of `risk_cap` and
-    `robot_value`.
+    """Simulate `mrac` and `per_cell`, in full and ended early, and `per_cell` over ladders of its two limits.
 
-    All are rolled out with the same ids and seed; the ladder of `robot_value` doubles from 1 / p of the worst cell
-    until next
-    to no robot is lost, and is refined around a goal. With `choices.deadline` every mission ends there. Nothing is
-    rolled out of settings whose trees end in time (`analysis.estimators.trial`). The pick is chosen and told on other
-    ids:
-    `_Search.confirmed`.
+    All settings use the same rollout ids and seed. The ladder of `robot_value` doubles from 1 / p of the most dangerous
+    cell until nearly no robot is lost, and is refined around a goal. With `choices.deadline` every mission ends there.
+    Settings whose expectation can be computed exactly in time are not sampled (`analysis.estimators.trial`). Fresh
+    rollout ids confirm the selected point: `_Search.confirmed`.
 
-    An interruption (KeyboardInterrupt) ends it with the settings that were done, `partial`; if that is none, it is
-    raised again. Raises InputError.
+    Returns:
+        The front. After an interruption (KeyboardInterrupt): the settings done so far, `partial`; if there are none,
+        the interruption is raised again.
+
+    Raises:
+        InputError: an argument or setting out of range.
     """
     if choices.rollouts > MOST_ROLLOUTS // 2:
         raise UsageError(
             argument("rollouts", choices.rollouts),
-            expected=f"at most {MOST_ROLLOUTS // 2}: as many others check the pick",
+            expected=f"at most {MOST_ROLLOUTS // 2} (as many more confirm the selected point)",
         )
     check_goal(goal or Goal(), len(starts))
     choices = choices.timed(world.pace)
+    # The mission's own deadline also ends the settings without one.
     choices = replace(choices, deadline=settings.deadline if choices.deadline is None else choices.deadline)
     search = _Search(world, starts, settings, choices, goal or Goal(), ladders or Ladders(), progress, doing)
     partial = False
@@ -432,20 +437,20 @@ def quick_points(
     doing: Doing,
     clock: Callable[[], float] = time.process_time,
 ) -> tuple[Point, ...]:
-    """A few settings in a moment: `per_cell` from the most careful `robot_value` down to where so many `losses` are
-    reached,
-    then the policies as they are.
+    """A few settings within a time limit: `per_cell` from the largest `robot_value` down to one that loses `losses`
+    robots, then both policies without limits.
 
-    The careful ones come first, as they are cheap and say what costs no robot. None is begun after `seconds` of work;
-    that of the first is not counted, as code may be compiled in it: `clock`, in seconds. `kept`: where tables of this
-    map are kept. Raises InputError.
+    Large values come first because they are cheap to simulate and lose few robots. No setting is started after
+    `seconds` of `clock`; the first setting is not counted, as it may compile code. `kept`: cache of the map's distance
+    tables. Raises InputError.
     """
     choices = replace(choices, exact="never", deadline=settings.deadline)
     search = _Search(world, starts, settings, choices, Goal(), Ladders((), None, ()), None, doing)
     search.kept, begun = kept, math.inf
     if len(search.dangers):
-        for robot_value in careful_first(float(search.dangers.max()), float(search.dangers.min()), search.cells):
+        for robot_value in descending_ladder(float(search.dangers.max()), float(search.dangers.min()), search.cells):
             point = search.look_at(Setting("per_cell", robot_value=robot_value))
+            # The first setting compiles code, so the time limit starts after it.
             begun = min(begun, clock())
             if point.losses.mean >= losses or clock() - begun >= seconds:
                 break
@@ -456,7 +461,7 @@ def quick_points(
 
 
 class _Search:
-    """The settings looked at so far, `points`, and how much they `covered` by each step on average, `[T + 1]`."""
+    """State of the search: `points`, and each setting's mean coverage by step, `covered`, `[T + 1]`."""
 
     def __init__(
         self,
@@ -483,10 +488,10 @@ class _Search:
         if settings.return_to is not None:
             self.notes.append(ENDS_AT_HOME)
         _check_ladder("robot_value", ladders.robot_values or ())
-        self.risk_caps = self._reserves()
+        self.risk_caps = self._risk_caps()
 
     def _way_home(self) -> int:
-        """The moves of the longest way home from a start: a mission that ends before has none."""
+        """Most moves of any robot's way from its start to the base; earlier deadlines leave no time to return."""
         problem = None
         if self.settings.return_to is not None:
             problem = prepare(self.world, self.starts, replace(self.settings, deadline=None))
@@ -496,16 +501,17 @@ class _Search:
 
     @property
     def distinct(self) -> list[Point]:
-        """The points, sorted; limits that nobody named and that come to the same as a lower one are left out."""
+        """The points in order. Default values of a limit that give the figures of a lower value are dropped."""
         asked = {"risk_cap": self.ladders.risk_caps is not None, "robot_value": self.ladders.robot_values is not None}
         found: dict[tuple[object, ...], Point] = {}
         for setting, point in sorted(self.points.items(), key=lambda item: tuple(item[0].limits.values())):
             own = setting if asked.get(setting.family, True) else None
+            # Points are sorted by their limits, so the lowest of equal limits is kept.
             found.setdefault((setting.family, point.figures, own), point)
         return sorted(found.values(), key=_by_family)
 
     def look_at_all(self) -> None:
-        """Every setting, the cheap and telling ones first."""
+        """Simulate all settings, cheap ones first: risk caps are slow."""
         for policy in ("mrac", "per_cell"):
             self._with_cuts(policy)
         self._up_the_ladder()
@@ -513,115 +519,118 @@ class _Search:
         for setting in self.risk_caps:
             self.look_at(setting)
 
-    def _reserves(self) -> list[Setting]:
+    def _risk_caps(self) -> list[Setting]:
         values = self.ladders.risk_caps
         if values is None:
-            values = () if len(self.starts) == 1 or not len(self.dangers) else RESERVES
-            if values and self.cells > RESERVED_CELLS:
+            values = () if len(self.starts) == 1 or not len(self.dangers) else RISK_CAPS
+            if values and self.cells > RISK_CAP_CELLS:
                 values = ()
                 self.notes.append(
-                    f"Reserves were skipped (slow above {RESERVED_CELLS:,} cells); add {argument('reserves')}"
+                    f"Risk caps were skipped (slow above {RISK_CAP_CELLS:,} cells); add {argument('risk_caps')}"
                 )
         _check_ladder("risk_cap", values)
         return [Setting("per_cell", risk_cap=value) for value in values]
 
     def _with_cuts(self, policy: str) -> None:
-        """A policy as it is, and ended early."""
+        """A policy without limits, in full and ended early."""
         self.look_at(Setting(policy))
         self._cut(Setting(policy), [*self.ladders.landmarks, *self._target(Setting(policy))])
 
     def _cut(self, setting: Setting, marks: Sequence[float]) -> None:
-        """A setting that was looked at, ended at the steps by which it has covered so much on average."""
+        """A simulated setting, ended at the steps by which its mean coverage reaches `marks`."""
         covered = self.covered[self._ended(setting)]
+        # argmax is the first step that reaches the mark; `covered` does not decrease.
         steps = {int(np.argmax(covered >= mark)) for mark in marks if covered[-1] >= mark}
         for step in sorted(step for step in steps - {len(covered) - 1} if step >= self.least_deadline):
             self.look_at(setting._replace(deadline=step))
 
     def _up_the_ladder(self) -> None:
-        """The values of `robot_value` that were named; or each twice the one before, until next to no robot is lost."""
+        """The given values of `robot_value`; by default a ladder that doubles until nearly no robot is lost."""
         if self.ladders.robot_values is not None:
             for robot_value in self.ladders.robot_values:
                 self.look_at(Setting("per_cell", robot_value=robot_value))
         elif len(self.dangers):
             robot_value = first_worth(float(self.dangers.max()))
             all_refused = self.cells / float(self.dangers.min())
-            for step in range(MOST_WORTHS):
+            for step in range(MOST_ROBOT_VALUES):
                 point = self.look_at(Setting("per_cell", robot_value=robot_value * 2**step))
-                if point.losses.mean < NEXT_TO_NONE or robot_value * 2**step > all_refused:
+                # Larger values exclude all threats and give the same plan.
+                if point.losses.mean < NEARLY_NONE or robot_value * 2**step > all_refused:
                     return
 
     def _refine(self) -> None:
-        """Further values of `robot_value` between two neighbours of which one meets the goal; then the lower one
-        ended early.
+        """Values of `robot_value` between two neighbours of which one meets the goal; then the lower one ended early.
 
-        A small change of `robot_value` may refuse a large area, so that nothing lies between; a step can be any.
+        A small change of `robot_value` can exclude a large area, so that no value lies between; any step can be chosen.
         """
         if not self.goal or self.ladders.robot_values is not None:
             return
         for _ in range(HALVINGS):
-            if (parted := self._parted()) is None:
+            if (bracket := self._bracket()) is None:
                 return
-            self.look_at(Setting("per_cell", robot_value=between(*parted)))
-        if (parted := self._parted()) is not None:
-            setting = Setting("per_cell", robot_value=parted[0])
-            more, less = (self.points[self._ended(setting._replace(robot_value=v))].coverage.mean for v in parted)
+            self.look_at(Setting("per_cell", robot_value=between(*bracket)))
+        if (bracket := self._bracket()) is not None:
+            setting = Setting("per_cell", robot_value=bracket[0])
+            more, less = (self.points[self._ended(setting._replace(robot_value=v))].coverage.mean for v in bracket)
             marks = [less + (more - less) * part / (HALVINGS + 1) for part in range(1, HALVINGS + 1)]
             self._cut(setting, [*marks, *self._target(setting)])
 
-    def _parted(self) -> tuple[float, float] | None:
+    def _bracket(self) -> tuple[float, float] | None:
         """The first two neighbours of the ladder of `robot_value` of which one meets the goal."""
         known = [(s.robot_value, self.goal.allows(p.sure)) for s, p in self.points.items() if s.robot_value is not None]
         return next(((a, b) for (a, met), (b, other) in pairwise(sorted(known)) if met != other), None)
 
     def _target(self, setting: Setting) -> tuple[float, ...]:
-        """What a setting that was looked at has to have covered on average to be sure of the target, and a little."""
+        """The mean coverage at which the bound of a simulated setting reaches the target, with a margin."""
         if self.goal.target is None:
             return ()
         point = self.points[self._ended(setting)]
         return (self.goal.target + AMPLE * (point.coverage.mean - point.least),)
 
     def _ended(self, setting: Setting) -> Setting:
-        """The setting as it was asked for, unless it says otherwise: with the step at which every mission ends."""
+        """The setting with its own deadline, else with the deadline of all missions."""
         return setting if setting.deadline is not None else setting._replace(deadline=self.choices.deadline)
 
     def look_at(self, asked: Setting) -> Point:
-        """Roll a setting out, and keep what it came to."""
+        """Simulate a setting and store its estimates."""
         setting = self._ended(asked)
         found = self._measured(setting, 0)
         self.covered[setting] = found.by_step()
-        point = self.points[setting] = point_of(setting, found, self.cells, FIRST_DOUBT, self.longest)
+        point = self.points[setting] = point_of(setting, found, self.cells, FIRST_ERROR, self.longest)
         return point
 
     def confirmed(self, answer: Front) -> Front:
-        """With what the headline speaks of on other rollouts, which had no part in the choice.
+        """The result with fresh rollouts of the settings that the summary names.
 
-        With a goal that is the best setting that is sure to keep it, there as here: they are tried in the order of the
-        first rollouts, the `n`-th with a chance of error of ALPHA / 2**n, which all together come to ALPHA at most.
+        With a goal, settings are tried in the order of the first rollouts until one meets it on fresh rollouts too. The
+        n-th try has error probability ALPHA / 2**n; by the union bound the sum is at most ALPHA.
         """
         if not self.goal:
-            return replace(answer, priced=tuple(self._again(point, FIRST_DOUBT) for point in answer.corners()))
+            return replace(answer, priced=tuple(self._again(point, FIRST_ERROR) for point in answer.corners()))
         order = self.goal.ranked([point.figures for point in answer.points])
-        hopeful = [place for place in order if self.goal.allows(answer.points[place].sure)][:TRIES]
-        for tried, place in enumerate(hopeful, 1):
+        # A point that fails its bound on the first rollouts would waste a try.
+        eligible = [place for place in order if self.goal.allows(answer.points[place].sure)][:TRIES]
+        for tried, place in enumerate(eligible, 1):
             again = self._again(answer.points[place], ALPHA / 2**tried)
             if self.goal.allows(again.sure):
                 return replace(answer, pick=place, confirmed=again, tried=tried)
-        return replace(answer, tried=len(hopeful))
+        return replace(answer, tried=len(eligible))
 
     def _again(self, point: Point, doubt: float) -> Point:
-        """On fresh rollouts; what is exact stays as it is."""
+        """The point on fresh rollouts; an exact point is returned unchanged."""
         if point.exact:
             return point
         found = self._measured(point.setting, self.choices.rollouts)
         return point_of(point.setting, found, self.cells, doubt, self.longest)
 
     def _measured(self, setting: Setting, start: int) -> Measured:
-        """What a setting comes to: exactly, or by as many rollouts as were asked for, ids from `start` on."""
+        """The setting's expectations: exact, or estimated from the given number of rollouts, ids from `start` on."""
         self.doing(f"{setting} on fresh rollouts" if start else f"setting {len(self.points) + 1}, {setting}")
         began, count = time.perf_counter(), self.choices.rollouts
         if self.settings.return_to is None:
+            # Without a return to base the deadline changes no decision: one trial serves all cuts.
             trial = self._trial(setting._replace(deadline=None)).until(setting.deadline)
-        else:  # robots turn in time: another deadline is another mission, not the same one cut off
+        else:  # The return depends on the deadline: a truncated mission is not the mission with that deadline.
             trial = self._trial(setting)
         found = trial.known(1 / SETTINGS_ABOUT) or trial.sample(start, count)
         self.engine = self.engine if found.exact else trial.engine.name
@@ -629,7 +638,8 @@ class _Search:
         return found
 
     def _trial(self, setting: Setting) -> Trial:
-        """Of a setting's whole mission; the last one is kept."""
+        """The trial of a setting's full mission; the last one is cached."""
+        # Cuts of one setting come one after the other, so one cached trial is enough.
         if self.made is None or self.made[0] != setting:
             plan = allocated_plan(self.world, self.starts, settings_of(self.settings, setting))
             self.made = setting, Trial(self.world, plan, replace(self.choices, deadline=None), self.kept)
@@ -637,7 +647,7 @@ class _Search:
 
 
 def _check_ladder(name: str, values: Sequence[float]) -> None:
-    """Raise UsageError for a value that the setting of this name cannot have."""
+    """Raise UsageError for a value that the setting does not accept."""
     setting = SETTINGS[name]
     for value in values:
         if not setting.accepts(value):
@@ -645,5 +655,5 @@ def _check_ladder(name: str, values: Sequence[float]) -> None:
 
 
 def _by_family(point: Point) -> tuple[int, float, float]:
-    """By family, the most coverage first: the same order wherever it stands, so equal ones are picked alike."""
+    """Sort key: family, then coverage. The order does not depend on the order of simulation, so ties break alike."""
     return FAMILIES.index(point.setting.family), -point.coverage.mean, point.losses.mean

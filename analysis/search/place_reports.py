@@ -1,4 +1,4 @@
-"""What `mrac-jax starts` says: the best starts, how much they are worth, and the other places."""
+"""Reports of `mrac-jax starts`, `clear` and `attack`."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ STARTS_SHOWN = 10
 
 
 def starts_report(starts: Starts) -> Report:
-    """Where to start, on the map; the places that were simulated; the plan from the best."""
+    """The best start positions, the map, the simulated places, and the plan from the best."""
     choices, robots, maps = starts.choices, len(starts.starts), lambda: _starts_maps(starts)
     all_of_all = len(starts.candidates) * choices.rollouts
+    # For teams of starts the number of alternatives is astronomically large, so no share is given.
     share = f", {percent(starts.rolled / all_of_all)} of simulating every one in full" if starts.depot else ""
     return Report(
         "starts", "starts", asked(starts.world, robots, "where to start?"),
@@ -54,31 +55,31 @@ def starts_report(starts: Starts) -> Report:
 
 
 def starts_headline(starts: Starts) -> str:
-    """Where to start, what is covered from there, and how much more that is than now. Figures of fresh rollouts."""
+    """The best starts, their coverage, and the gain over the present starts, by fresh rollouts."""
     robots, best = counted(len(starts.starts), "robot"), starts.places[starts.best]
     if starts.partial:
         return f"Interrupted. Best found so far for {robots}: {best.at}."
     shown = starts.confirmed.counted if starts.confirmed is not None else None
     covered = "" if shown is None else f"{percent(shown.mean)} {starts.covered} on average" + " (exact)" * starts.exact
     if starts.stay and not starts.depot:
-        return f"Stay: nothing found is surely better than {standing_words(starts)}: {covered}."
+        return f"Keep {present_starts(starts)}: no place found is significantly better; {covered}."
     what = f"Best depot found for {robots}: {best.at}, {covered}" if starts.depot else f"Start at {best.at}: {covered}"
     if starts.gain is None:
-        where = " They stand there now: stay." if starts.best == starts.here else ""
+        where = " These are the present starts: keep them." if starts.best == starts.here else ""
         return f"{what}.{where}"
     if starts.stay:
-        return f"{what}; that is not surely better than {standing_words(starts)}: stay, unless it has to be a depot."
-    return f"{what}, {without_level(starts.gain.said(100, ' points'))} more than from {standing_words(starts)}."
+        return f"{what}; not significantly better than {present_starts(starts)}: keep those unless a depot is needed."
+    return f"{what}, {without_level(starts.gain.said(100, ' points'))} more than from {present_starts(starts)}."
 
 
-def standing_words(starts: Starts) -> str:
-    """Where the team stands if nobody says otherwise."""
+def present_starts(starts: Starts) -> str:
+    """Name of the present starts."""
     named = starts.world.starts is not None and len(starts.world.starts) >= len(starts.starts)
     return "the starts of the input" if named else f"the default starts ({starts.world.team.start})"
 
 
 def starts_findings(starts: Starts) -> Iterator[str]:
-    """How sure that is, and how much starts matter here."""
+    """The figures with their intervals, the comparison with other places, and the command to evaluate."""
     again = starts.confirmed
     if again is not None and again.coverage is not None and again.losses is not None:
         worth = "" if again.value is None else f"{again.value.said(100, ' %')} of the value and "
@@ -91,7 +92,7 @@ def starts_findings(starts: Starts) -> Iterator[str]:
     if starts.gain is not None and starts.stay:
         low, high = (100 * end for end in starts.gain.ci95)
         mean = f"{100 * starts.gain.mean:+.2f} points ({'exact' if low == high else f'{between(low, high)}, 95 %'})"
-        yield f"The best {'depot' if starts.depot else 'other place'} found, {best.at}, against it: {mean}."
+        yield f"The best {'depot' if starts.depot else 'other place'} found, {best.at}, against it: {mean} of coverage."
     others = [place for place in starts.simulated if place is not best]
     if others:
         worst = min((p.counted.mean for p in others if p.counted), default=0.0)
@@ -99,16 +100,16 @@ def starts_findings(starts: Starts) -> Iterator[str]:
         said = f"No significant difference from the {number} simulated"
         if starts.beaten:
             of_all = "the" if starts.beaten == len(others) else f"{starts.beaten} of the"
-            said = f"It surely beats {of_all} {number} simulated"
+            said = f"Significantly better than {of_all} {number} simulated"
         of_value = "" if starts.world.value is None else " of the value"
-        how = "exact" if starts.exact else "95 %, all together"
+        how = "exact" if starts.exact else "simultaneous 95 %"
         yield f"{said} ({how}); the worst covers {percent(worst)}{of_value}."
     if starts.words:
         yield f"run it: {command_of(starts)}"
 
 
 def command_of(starts: Starts) -> str:
-    """The command that evaluates the best starts as they were here."""
+    """The command that evaluates the best starts with the same options."""
     at = ";".join(f"{row},{col}" for row, col in starts.starts.tolist())
     deadline = starts.choices.deadline
     ends = [] if deadline is None else ["--deadline", str(deadline)]
@@ -123,15 +124,15 @@ def _starts_key_figures(starts: Starts) -> list[KeyFigure]:
         out = [share_figure(again.counted, name, fresh), team_figure(again.losses, len(starts.starts))]
     if starts.gain is not None:
         low, high = (100 * end for end in starts.gain.ci95)
-        note = f"{'exact' if low == high else between(low, high)}, against {standing_words(starts)}"
+        note = f"{'exact' if low == high else between(low, high)}, against {present_starts(starts)}"
         out.append(KeyFigure(f"{100 * starts.gain.mean:+.2f} points", "best found", note))
-    how = "" if starts.exact else ", all together with 95 %"
+    how = "" if starts.exact else ", simultaneous 95 %"
     others = f"of {counted(len(starts.simulated) - 1, 'other')} simulated{how}"
-    return [*out, KeyFigure(f"{starts.beaten}", "surely beaten", others)]
+    return [*out, KeyFigure(f"{starts.beaten}", "significantly worse", others)]
 
 
 def _starts_maps(starts: Starts) -> CellMaps:
-    """Coverage by depot where it was simulated, and threats."""
+    """The map of coverage by depot, for simulated depots, and of threat."""
     from matplotlib.colors import Normalize
 
     from analysis.page.maps import CellLayer
@@ -139,13 +140,14 @@ def _starts_maps(starts: Starts) -> CellMaps:
 
     world = starts.world
     threat = np.nan_to_num(np.where(world.accessible(starts.starts), world.threat, 0.0).astype(np.float64))
-    layers = [CellLayer("Threat", "Chance that one visit of the cell stops the robot.", threat, THREAT, "%", digits=2)]
+    layers = [CellLayer("Threat", "Probability that one visit destroys the robot.", threat, THREAT, "%", digits=2)]
     if starts.depot:
         covered, known = np.zeros(world.shape), [place for place in starts.simulated if place.counted is not None]
         for place in known:
             covered[tuple(place.starts[0])] = place.counted.mean if place.counted else 0.0
+        # The scale starts at the least simulated coverage: 0 means "not simulated".
         low, high = covered[covered > 0].min(initial=1.0), covered.max()
-        about = f"Share {starts.covered} on average if all robots start in the cell; 0 where that was not simulated."
+        about = f"Share {starts.covered} on average if all robots start in the cell; 0 where it was not simulated."
         layers.insert(0, CellLayer("Coverage by depot", about, covered, COVERED, "%", digits=2, short="Depots",
                                    norm=Normalize(low, high if high > low else low + 0.01), discs=True,
                                    labels=tuple(np.linspace(low, high, 4 if high > low else 1))))  # fmt: skip
@@ -153,13 +155,14 @@ def _starts_maps(starts: Starts) -> CellMaps:
 
 
 def _starts_table(starts: Starts) -> Table:
-    """What was simulated, the best first."""
+    """The simulated places, best first."""
     valued = starts.world.value is not None
     columns = ("starts", "bound", "one robot", *["value, %", "from .. to"] * valued, "visited, %", "from .. to", "lost",
                "behind, points", "rollouts", "")  # fmt: skip
     dropped = ("one robot", "bound", "rollouts", "lost")
     title = "Simulated on common random numbers, the best first"
     table = make_table(columns, title, left=("starts", ""), dropped=dropped, padding=(0, 1, 0, 0))
+    # The present starts are always shown, even below the cut of the table.
     now = [place for place in starts.simulated[STARTS_SHOWN:] if place.now]
     for place in (*starts.simulated[:STARTS_SHOWN], *now):
         alone = "" if place.one_robot is None else f"{place.one_robot:.1f}"
@@ -189,18 +192,18 @@ def _starts_footnotes(starts: Starts) -> list[str]:
     counts = "cells" if starts.world.value is None else "value"
     more = len(starts.simulated) - STARTS_SHOWN
     return [
-        f"bound: {counts} that no strategy exceeds on average, by the chance to reach each; one robot: eq. (4), "
+        f"bound: {counts} visited at most on average, for any policy; one robot: eq. (4), "
         f"{counts} of one robot's plan."
-        + " ±: half the 95 % interval, in brackets its ends; behind: all of these intervals hold together with 95 %; "
-        "places put aside early have few rollouts." * (not starts.exact),
+        + " ±: half the 95 % interval, in brackets its ends; behind: simultaneous 95 % intervals; "
+        "places that were eliminated early have few rollouts." * (not starts.exact),
         *([f"The JSON object has {counted(more, 'further place')}."] if more > 0 else []),
     ]
 
 
 def _starts_json(starts: Starts) -> Json:
-    """Coverage: fractions of the accessible cells, `value`: of all value.
+    """Coverage: fractions of the accessible cells; `value`: of the value of all cells.
 
-    What is told of the starts themselves is of fresh rollouts, unless it was interrupted.
+    The figures of the starts are those of fresh rollouts, unless the search was interrupted.
     """
     again, here = starts.confirmed, None if starts.here is None else starts.places[starts.here]
     shown = starts.chosen if again is None else again
@@ -229,23 +232,23 @@ def _value(place: Place) -> Json:
 
 
 def _place_json(place: Place, depot: bool) -> Json:
-    told = {name: getattr(place, name) for name in ("screen", "one_robot", "coverage", "losses", "behind", "rollouts")}
-    return {"starts": place.starts[:1] if depot else place.starts, **told, **_value(place)}
+    facts = {name: getattr(place, name) for name in ("screen", "one_robot", "coverage", "losses", "behind", "rollouts")}
+    return {"starts": place.starts[:1] if depot else place.starts, **facts, **_value(place)}
 
 
 # The report of `threats --remove`: the threats to remove, the gain, all threats on the map and in figures.
 
-KINDS = {"areas": "connected areas of danger", "sources": "polygons, points and sites of the scenario"}
+KINDS = {"areas": "connected areas of equal threat", "sources": "polygons, points and sites of the scenario"}
 KINDS_OF_GAIN = {"cells": "Cells", "of value": "Value"}
 CLEAR_SHOWN = 12
 """Threats in the table; the JSON object holds all."""
 
 
 def clear_report(clearing: Clearing) -> Report:
-    """What to clear first, with the map of gains; every threat."""
+    """The threat to remove first, the map of gains, and every threat."""
     choices, robots = clearing.choices, len(clearing.starts)
     return Report(
-        "clear", "clear", asked(clearing.world, robots, "what to clear first?"), clear_headline(clearing),
+        "clear", "clear", asked(clearing.world, robots, "which threat to remove first?"), clear_headline(clearing),
         lambda: _clear_json(clearing), list(clear_findings(clearing)), _clear_key_figures(clearing),
         heading=(
             f"{map_words(clearing.world, clearing.cells, robots)}, {counted(len(clearing.options), 'threat')} "
@@ -261,18 +264,18 @@ def clear_report(clearing: Clearing) -> Report:
 
 
 def clear_headline(clearing: Clearing) -> str:
-    """What to clear first, and what it is worth on fresh rollouts."""
+    """The threat to remove first, and the gain on fresh rollouts."""
     picks, gain = clearing.picks, clearing.gain
-    first = f"Best found to clear first: {place_words(clearing, picks[0])}"
+    first = f"Best threat found to remove first: {place_words(clearing, picks[0])}"
     if gain is None:
-        return f"Interrupted. {first}: {_more(clearing, clearing.turns[0].picked.known)}, on what chose it."
+        return f"Interrupted. {first}: {_more(clearing, clearing.turns[0].picked.known)}, on the search's rollouts."
     if len(picks) > 1:
-        first = f"Best found to clear, in this order: {', '.join(threat.name for threat in picks)}"
+        first = f"Best threats found to remove, in this order: {', '.join(threat.name for threat in picks)}"
     return f"{first}: {_more(clearing, gain)} on average, after replanning."
 
 
 def place_words(clearing: Clearing, threat: Threat) -> str:
-    """A threat by name, size, chance and place."""
+    """A threat's name, size, probability and position."""
     row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
     most = "" if threat.thing is None else "at most "
     at = f"{'' if len(threat.cells) == 1 else 'from '}row {row}, column {col}"
@@ -288,18 +291,18 @@ def _more(clearing: Clearing, gain: Gain | None) -> str:
 
 
 def clear_findings(clearing: Clearing) -> Iterator[str]:
-    """How sure that is, what the old plan wins, and what the picks add."""
+    """The gain with its interval, the comparison with other threats, gains with the old plan, and further removals."""
     first, gain = clearing.turns[0], clearing.gain
     if gain is not None:
         yield sourced(gain.rollouts, f"after replanning, {gain.said('more')}.")
-    yield first.certainty("worth more")
+    yield first.certainty("better to remove")
     unknown = first.best_unknown
     most, own = (_clear_said(clearing, one.unknown) for one in (unknown, first.picked))
-    then = "" if unknown is first.picked else f"; {first.picked.threat.name} is worth {own} then"
-    yield f"With the old plan {unknown.threat.name} is worth most to clear: {most}{then}."
+    then = "" if unknown is first.picked else f"; {first.picked.threat.name}: {own}"
+    yield f"With the old plan, removing {unknown.threat.name} gains most: {most}{then}."
     for turn in clearing.turns[1:]:
         gained = _more(clearing, turn.picked.known)
-        yield f"Then {place_words(clearing, turn.picked.threat)}: {gained} than without it."
+        yield f"Then {place_words(clearing, turn.picked.threat)}: {gained} in addition."
 
 
 def _clear_key_figures(clearing: Clearing) -> list[KeyFigure]:
@@ -307,31 +310,31 @@ def _clear_key_figures(clearing: Clearing) -> list[KeyFigure]:
     if gain is not None:
         mean, interval = gain.counted.columns()
         fresh = ", fresh rollouts" if gain.rollouts else ""
-        out.append(KeyFigure(f"{mean} {unit}", "won after replanning", f"{interval}{fresh}"))
+        out.append(KeyFigure(f"{mean} {unit}", "gained after replanning", f"{interval}{fresh}"))
     unknown = first.best_unknown
     return [
         *out,
-        KeyFigure(f"{unknown.unknown.counted.mean:.1f} {unit}", "most with the old plan", unknown.threat.name),
-        KeyFigure(f"{len(clearing.options)}", "threats", f"{len(first.simulated)} planned for anew"),
+        KeyFigure(f"{unknown.unknown.counted.mean:.1f} {unit}", "largest gain, old plan", unknown.threat.name),
+        KeyFigure(f"{len(clearing.options)}", "threats", f"{len(first.simulated)} replanned"),
     ]
 
 
 def _clear_maps(clearing: Clearing, only: int | None = None) -> CellMaps:
-    """Gains after replanning and with the old plan, and where risk is paid, cell by cell; `only` one of them."""
+    """Maps of the gains after replanning and with the old plan, and of marginal risk by cell; `only`: one of them."""
     from analysis.page.maps import CellLayer
     from analysis.pictures import COVERED, LOSSES
 
     options, shape = clearing.options, clearing.world.shape
     known, unknown = by_cell(options, shape, lambda one: one.known), by_cell(options, shape, lambda one: one.unknown)
-    won = f"{KINDS_OF_GAIN[clearing.unit]} won"
-    paid = "What one percent of threat more in a cell would cost, open loop, same paths. No advice on what to clear."
+    won = f"{KINDS_OF_GAIN[clearing.unit]} gained"
+    paid = "Cells lost for each percent of threat added to a cell: open loop, same paths. Not the gain of removing it."
     layers = [
-        CellLayer(f"{won}, replanned", "By clearing the threat that the cell is in; planned anew.", known, COVERED,
+        CellLayer(f"{won}, replanned", "Gain of removing the threat in the cell; the team replans.", known, COVERED,
                   short="Replanned"),
-        CellLayer(f"{won}, old plan", "By clearing the threat; they do as before.", unknown, COVERED,
+        CellLayer(f"{won}, old plan", "Gain of removing the threat; the team keeps its plan.", unknown, COVERED,
                   short="Old plan"),
-        CellLayer("Where risk is paid", paid, np.maximum(clearing.risk_paid, 0.0), LOSSES, root=True, blocks="sum",
-                  short="Risk paid"),
+        CellLayer("Marginal risk", paid, np.maximum(clearing.risk_paid, 0.0), LOSSES, root=True, blocks="sum",
+                  short="Risk"),
     ]  # fmt: skip
     ranked = [one.threat for one in _ranked(clearing)] if only == 0 else []
     parts = [(threat.name, threat.cells, threat in clearing.picks) for threat in ranked]
@@ -339,20 +342,20 @@ def _clear_maps(clearing: Clearing, only: int | None = None) -> CellMaps:
 
 
 def _clear_table(clearing: Clearing) -> Table:
-    """Every threat as the first to be cleared, the best first."""
+    """Every threat as the first to be removed, best first."""
     areas = clearing.remove == "areas"
     columns = ("threat", *["at"] * areas, "cells", "p, %", "lost in it", "bound", "replanned", "from .. to",
                "old plan", "from .. to", "rollouts")  # fmt: skip
-    title = f"{KINDS_OF_GAIN[clearing.unit]} won on average by clearing one threat"
+    title = f"{KINDS_OF_GAIN[clearing.unit]} gained on average by removing one threat"
     dropped = ("rollouts", "bound", "lost in it", *["at"] * areas, "from .. to")
     table = make_table(columns, title, left=("threat", "at"), dropped=dropped, padding=(0, 1, 0, 0))
     for one in _ranked(clearing)[:CLEAR_SHOWN]:
         threat, known = one.threat, one.known
         row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
-        told = ("", "", "") if known is None else (*_columns(known), f"{known.rollouts:,}" if known.rollouts else "")
+        figures = ("", "", "") if known is None else (*_columns(known), f"{known.rollouts:,}" if known.rollouts else "")
         table.add_row(threat.name, *[f"{row},{col}"] * areas, f"{len(threat.cells)}",
-                      chance(threat.p, unit=""), f"{one.hits:.3f}", f"{one.screen:.2f}", *told[:2],
-                      *_columns(one.unknown), told[2])  # fmt: skip
+                      chance(threat.p, unit=""), f"{one.hits:.3f}", f"{one.screen:.2f}", *figures[:2],
+                      *_columns(one.unknown), figures[2])  # fmt: skip
     return table
 
 
@@ -367,19 +370,19 @@ def _ranked(clearing: Clearing) -> list[Weighed]:
 
 def _clear_footnotes(clearing: Clearing) -> list[str]:
     lines = [
-        "replanned: on the map without it. old plan: robots do as before, and nobody is stopped there. "
-        "from .. to: 95 % intervals, each by itself.",
-        "bound: how much the bound for every strategy rises. lost in it: robots a run, as things are.",
+        "replanned: plan for the map without the threat. old plan: the present plan on that map. "
+        "from .. to: pointwise 95 % intervals.",
+        "bound: rise of the policy-independent upper bound. lost in it: robots lost there per rollout.",
     ]
     if len(clearing.options) > CLEAR_SHOWN:
         lines.append(f"The JSON object has {counted(len(clearing.options) - CLEAR_SHOWN, 'further threat')}.")
     if clearing.remove == "sources":
-        lines.append("p: the largest of the threat alone; where others overlap it, theirs stays.")
+        lines.append("p: the largest of this threat alone; threats that overlap it remain.")
     return lines
 
 
 def _clear_json(clearing: Clearing) -> Json:
-    """Gains in cells, and in value where there is any."""
+    """Gains in cells, and in value if the map has values."""
     gain = clearing.gain
     return {
         "remove": clearing.remove,
@@ -397,19 +400,19 @@ def _clear_json(clearing: Clearing) -> Json:
 
 
 def _clear_threat_json(one: Weighed) -> Json:
-    threat, told = one.threat, {name: getattr(one, name) for name in ("screen", "hits", "known", "unknown", "behind")}
-    return {"name": threat.name, "cells": threat.cells, "p": float(exactly(round(threat.p, 9))), **told}
+    threat, facts = one.threat, {name: getattr(one, name) for name in ("screen", "hits", "known", "unknown", "behind")}
+    return {"name": threat.name, "cells": threat.cells, "p": float(exactly(round(threat.p, 9))), **facts}
 
 
 # The report of `threats --add`: the worst cells, the cost with and without knowledge of them, every cell on the map.
 
 ATTACK_SHOWN = 12
 """Cells in the table; the JSON object holds all."""
-KNOWN, HIDDEN = "robots that know", "robots that do not know"
+KNOWN, HIDDEN = "informed robots", "uninformed robots"
 
 
 def attack_report(attack: Attack) -> Report:
-    """The worst places, with the maps of what a threat costs in each cell."""
+    """The worst positions, with maps of the cost of a threat in each cell."""
     choices, robots, cells = attack.choices, len(attack.starts), counted(len(attack.turn.options), "cell")
     threats = f"{counted(len(attack.known.threats), 'threat')} of {chance(attack.p)}"
     hidden = len(attack.hidden.threats) > 0  # none: it was interrupted before
@@ -417,7 +420,7 @@ def attack_report(attack: Attack) -> Report:
         "attack", "attack", asked(attack.world, robots, "where would a threat cost most?"), attack_headline(attack),
         lambda: _attack_json(attack), list(attack_findings(attack)), _attack_key_figures(attack),
         heading=(
-            f"{map_words(attack.world, attack.cells, robots)}; {threats}, {cells} looked at",
+            f"{map_words(attack.world, attack.cells, robots)}; {threats}, {cells} searched",
             luck_words(attack.world, choices, attack.engine,
                        f"{counted(choices.rollouts, 'rollout')} of the last two, the same ids for all; "),
         ),
@@ -432,13 +435,13 @@ def attack_report(attack: Attack) -> Report:
 
 
 def _scenario(attack: Attack) -> bytes:
-    """The team on the map with the threats that it knows of."""
+    """The scenario of the map with the known threats and the team."""
     team = said({"starts": attack.starts.tolist()}, attack.settings, attack.world.pace)
     return yaml.safe_dump({"map": {"file": "known.npz"}} | team, sort_keys=False).encode()
 
 
 def attack_headline(attack: Attack) -> str:
-    """The worst places for both kinds of robot, and what they cost on fresh rollouts."""
+    """The worst positions in both cases, and their cost on fresh rollouts."""
     known, hidden = attack.known, attack.hidden
     if known.known is None or hidden.hidden is None:
         return f"Interrupted. Worst found so far for {KNOWN}: {_at(known.threats)}."
@@ -461,14 +464,14 @@ def _fewer(attack: Attack, gain: Gain) -> str:
 
 
 def attack_findings(attack: Attack) -> Iterator[str]:
-    """What both cost in cells and robots, what it is worth to know, and how sure the worst cell is."""
+    """Cost in cells and robots, each placement in the other case, and the comparison with other cells."""
     for placed, own, kind in ((attack.known, attack.known.known, KNOWN), (attack.hidden, attack.hidden.hidden, HIDDEN)):
         if own is not None:
             yield sourced(own.rollouts, f"{_at(placed.threats)} against {kind}: {own.said('fewer')}.")
     known, hidden = attack.known.hidden, attack.hidden.known
     if known is not None and hidden is not None:
         yield (
-            f"The other way round: {_at(attack.known.threats)} would cost {HIDDEN} {_attack_said(attack, known)}, "
+            f"Exchanged: {_at(attack.known.threats)} would cost {HIDDEN} {_attack_said(attack, known)}, "
             f"and {_at(attack.hidden.threats)} {KNOWN} {_attack_said(attack, hidden)}."
         )
     yield f"A single threat costs {KNOWN} most in {attack.turn.picked.threat.name}. {attack.turn.certainty('worse')}"
@@ -483,7 +486,7 @@ def _attack_key_figures(attack: Attack) -> list[KeyFigure]:
 
 
 def _attack_maps(attack: Attack, only: int | None = None) -> CellMaps:
-    """What one threat in each cell costs both kinds; `only` one of them, with the worst places outlined."""
+    """Maps of the cost of one threat in each cell, in both cases; `only`: one map, the worst positions outlined."""
     from analysis.page.maps import CellLayer
     from analysis.pictures import LOSSES
 
@@ -492,9 +495,9 @@ def _attack_maps(attack: Attack, only: int | None = None) -> CellMaps:
     known = np.maximum(by_cell(options, shape, lambda one: one.known), 0.0)
     hidden = np.maximum(by_cell(options, shape, lambda one: one.unknown), 0.0)
     layers = [
-        CellLayer(f"{lost}, {KNOWN}", f"By one threat of {chance(attack.p)} in the cell; planned anew.", known,
+        CellLayer(f"{lost}, {KNOWN}", f"By one threat of {chance(attack.p)} in the cell; the team replans.", known,
                   LOSSES, short="Known"),
-        CellLayer(f"{lost}, {HIDDEN}", "By the same threat; they do as before.", hidden, LOSSES, short="Hidden"),
+        CellLayer(f"{lost}, {HIDDEN}", "By the same threat; the team keeps its plan.", hidden, LOSSES, short="Hidden"),
     ]  # fmt: skip
     placed = (attack.known, attack.hidden)[only or 0].threats
     parts = [] if only is None else [(threat.name.removeprefix("cell "), threat.cells, True) for threat in placed]
@@ -518,14 +521,14 @@ def _attack_table(attack: Attack) -> Table:
 
 def _attack_footnotes(attack: Attack) -> list[str]:
     return [
-        "known: on the map with it, planned anew. hidden: robots do as before. "
-        "from .. to: 95 % intervals, each by itself.",
-        *(["bound: how much the bound for every strategy falls."] if attack.turn.picked.screen is not None else []),
+        "known: plan for the map with the threat. hidden: the present plan on that map. "
+        "from .. to: pointwise 95 % intervals.",
+        *(["bound: fall of the policy-independent upper bound."] if attack.turn.picked.screen is not None else []),
     ]
 
 
 def _attack_json(attack: Attack) -> Json:
-    """What threats cost in cells, and in value where there is any."""
+    """Costs in cells, and in value if the map has values."""
     return {
         "p": attack.p,
         "known": _placed_json(attack, attack.known),
@@ -548,5 +551,5 @@ def _place(attack: Attack, threat: Threat) -> list[int]:
 
 
 def _attack_threat_json(attack: Attack, one: Weighed) -> Json:
-    told = {name: getattr(one, name) for name in ("screen", "known", "behind")}
-    return {"cell": _place(attack, one.threat), "hidden": one.unknown, **told}
+    facts = {name: getattr(one, name) for name in ("screen", "known", "behind")}
+    return {"cell": _place(attack, one.threat), "hidden": one.unknown, **facts}

@@ -1,4 +1,4 @@
-"""What `mrac-jax size` says: the smallest team that is enough, the curve over the teams, a row for each."""
+"""Reports of `mrac-jax size` and `front`."""
 
 from __future__ import annotations
 
@@ -28,10 +28,11 @@ from analysis.utils.tables import json_text, make_table, without_level
 from planner.arguments import argument
 from planner.files import Json
 from planner.formatting import ceiled, chance, counted, floored, in_percent, percent
+from planner.settings import SETTINGS
 
 
 def size_report(size: TeamSize) -> Report:
-    """How many robots are enough, with the curve that decides; every team."""
+    """The number of robots that is enough, the curves that decide it, and every team."""
     world, chart = size.world, _size_chart(size)
     return Report(
         "size", "size", f"{world.name}: how many robots for {_aim(size)}?", size_headline(size),
@@ -44,27 +45,27 @@ def size_report(size: TeamSize) -> Report:
 
 
 def size_headline(size: TeamSize) -> str:
-    """The answer in one sentence."""
+    """The result in one sentence."""
     if size.partial:
         return f"Interrupted before the answer: {_so_far(size)}."
     undecided, goal = size.of(TeamVerdict.UNDECIDED), size.goal
     if size.robots is None:
         most = f"No team of up to {counted(len(size.starts), 'robot')} "
         if size.passed_over:
-            most = f"No team that was looked at, up to {counted(len(size.starts), 'robot')}, "
+            most = f"No simulated team of up to {counted(len(size.starts), 'robot')} "
         if undecided:
             return f"{most}is shown to be enough for {_aim(size)}: {_listed(undecided)} undecided{_after(size)}."
         last = size.points[-1]
         if last.verdict is TeamVerdict.IMPOSSIBLE:
             best = last.ideal_coverage if goal.confidence is None else last.ideal_chance
-            ideal = f"the ideal of {last.robots} {'covers' if goal.confidence is None else 'has a chance of'}"
-            return f"{most}can reach {_aim(size)}, whatever the strategy: {ideal} {_of(best)}."
+            ideal = f"the upper bound for {last.robots} is"
+            return f"{most}can reach {_aim(size)}, whatever the policy: {ideal} {_of(best)}."
         return f"{most}is enough for {_aim(size)}: with {last.robots}, {_figure(size, last)}."
     found = _figure(size, size.confirmed or size.point(size.robots))
     if undecided:
         are = f"{_listed(undecided)} {'is' if len(undecided) == 1 else 'are'} undecided{_after(size)}"
         return f"{_listed([*undecided, size.robots], 'or')} robots: with {size.robots}, {found}; {are}."
-    rest = "; not every smaller team was looked at" if size.passed_over else ""
+    rest = "; not every smaller team was simulated" if size.passed_over else ""
     are = "robot is" if size.robots == 1 else "robots are"
     return f"{size.robots:,} {are} enough: {found}{rest}."
 
@@ -76,7 +77,7 @@ def _deciding(size: TeamSize, point: TeamPoint) -> Estimate:
 
 
 def _figure(size: TeamSize, point: TeamPoint) -> str:
-    """The deciding figure of a team that was rolled out, with its 95 % interval."""
+    """The deciding figure of a simulated team, with its 95 % interval."""
     estimate = _deciding(size, point)
     low, high = estimate.ci95
     sure = "exact" if low == high else f"95 % interval {between(100 * low, 100 * high, 2, 100)}"
@@ -89,7 +90,7 @@ def _figure(size: TeamSize, point: TeamPoint) -> str:
 
 
 def _aim(size: TeamSize) -> str:
-    """What was asked for."""
+    """The target of the search, for the title and the summary."""
     goal = size.goal
     if goal.confidence is None:
         return f"{_of(goal.target)} of the accessible cells {goal.meaning} on average{_by(size)}"
@@ -116,18 +117,18 @@ def _so_far(size: TeamSize) -> str:
 
 
 def _of(fraction: float) -> str:
-    """A fraction in percent, in the digits that somebody gave, or four; one that is not 1 is not rounded to it."""
+    """A fraction in percent, with four digits or all given ones; a fraction below 1 is never rounded to 100 %."""
     return chance(fraction, 4)
 
 
 def _after(size: TeamSize) -> str:
-    """How long the undecided ones were looked at."""
+    """The rollouts of the undecided teams."""
     most = max(point.rollouts for point in size.points if point.verdict is TeamVerdict.UNDECIDED)
     return f" after {counted(most, 'rollout')}"
 
 
 def _listed(numbers: Sequence[int], last: str = "and") -> str:
-    """Whole numbers in words: "7", "7 and 8", "1 to 6 and 9"."""
+    """Integers in text: "7", "7 and 8", "1 to 6 and 9"."""
     parts = []
     for _, group in groupby(enumerate(numbers), lambda pair: pair[1] - pair[0]):
         run = [number for _, number in group]
@@ -155,7 +156,7 @@ def _target(size: TeamSize) -> str:
 
 
 def _size_chart(size: TeamSize) -> Chart:
-    """Both figures over the teams with their intervals, what no strategy exceeds, what is wanted, the answer."""
+    """Coverage and chance by team size with intervals, the upper bound, the target and the result."""
     goal, by_chance = size.goal, size.goal.confidence is not None
     rolled = [point for point in size.points if point.coverage]
     unsure = [point for point in rolled if point.verdict is TeamVerdict.UNDECIDED]
@@ -163,11 +164,11 @@ def _size_chart(size: TeamSize) -> Chart:
     curves = [
         Series.of(f"expected coverage ({goal.meaning})", _sizes(rolled), [p.coverage for p in rolled if p.coverage]),
         Series.of(f"chance of {_target(size)}", _sizes(rolled), [p.chance for p in rolled if p.chance]),
-        Series(f"ideal of the team: no {'chance' if by_chance else 'mean coverage'} is above it", _sizes(size.points),
+        Series(f"upper bound of the {'chance' if by_chance else 'mean coverage'} for any policy", _sizes(size.points),
                ideals, dashed=True),
         Series.of("undecided", _sizes(unsure), [_deciding(size, point) for point in unsure], kind="points"),
     ]  # fmt: skip
-    wanted = f"{'wanted chance' if by_chance else 'target'}: {chance(goal.wanted, 12)}"
+    wanted = f"{'target chance' if by_chance else 'target'}: {chance(goal.wanted, 12)}"
     enough = () if size.robots is None else ((size.robots, f"enough: {size.robots}"),)
     return Chart(
         _title(size), tuple(curves), "robots", f"{goal.meaning}, and chance of {_target(size)}, %",
@@ -216,7 +217,7 @@ def _table(size: TeamSize) -> Table:
 
 
 def _footnotes(size: TeamSize) -> list[str]:
-    """What the columns are, how the verdicts were come to, and what was not looked at."""
+    """The columns, the confidence of the verdicts, and the teams that were not simulated."""
     figure = "coverage" if size.goal.confidence is None else "chance"
     rolled = [point.rollouts for point in size.points if point.rollouts]
     lines = []
@@ -229,24 +230,23 @@ def _footnotes(size: TeamSize) -> list[str]:
     if rolled:
         often = (f"{min(rolled):,} to " if min(rolled) < max(rolled) else "") + counted(max(rolled), "rollout")
         lines.append(
-            f"{often} a team. The verdicts are on the {figure}, and hold together "
+            f"{often} a team. The verdicts are on the {figure} and hold simultaneously "
             f"with {100 * (1 - ALPHA):g} % confidence."
         )
     if size.of(TeamVerdict.UNDECIDED) and size.choices.precision is None and not size.partial:
-        lines.append(f"undecided: more than {argument('rollouts', size.choices.rollouts)} may tell.")
+        lines.append(f"undecided: more than {argument('rollouts', size.choices.rollouts)} may decide.")
     if size.of(TeamVerdict.IMPOSSIBLE):
-        what = "on average exceeds" if size.goal.confidence is None else "has a chance above"
-        lines.append(f"impossible: no strategy of so many robots {what} the value after the <=.")
+        lines.append(f"impossible: the value after <= is an upper bound of the {figure} for any policy.")
     if size.passed_over and not size.partial:
         what = "they are not enough if coverage grows with the team" if size.robots else "they may be enough"
-        lines.append(f"Not looked at: {_listed(size.passed_over)} robots; {what}.")
+        lines.append(f"Not simulated: {_listed(size.passed_over)} robots; {what}.")
     if size.world.value is not None:
-        lines.append("value: expected share of the value of all free cells, in %; the target is of cells.")
+        lines.append("value: expected share of the value of all free cells, in %; the target counts cells.")
     return lines
 
 
 def _size_json(size: TeamSize) -> Json:
-    """Undefined values are None, coverage values fractions of the accessible cells."""
+    """Undefined values are None; coverage values are fractions of the accessible cells."""
     goal, choices, world = size.goal, size.choices, size.world
     dangerous = world.accessible(size.starts) & (world.threat > 0)
     return {
@@ -277,11 +277,11 @@ def _size_json(size: TeamSize) -> Json:
 
 
 def _size_point_json(point: TeamPoint) -> Json:
-    told = {name: getattr(point, name) for name in ("coverage", "chance", "time", "alive", "rollouts")}
+    fields = {name: getattr(point, name) for name in ("coverage", "chance", "time", "alive", "rollouts")}
     return {
         "robots": point.robots,
         "verdict": str(point.verdict),
-        **told,
+        **fields,
         "verdict_interval": point.interval,
         "exact": point.exact,
         "ideal": {"coverage": point.ideal_coverage, "chance": point.ideal_chance},
@@ -289,7 +289,7 @@ def _size_point_json(point: TeamPoint) -> Json:
     }
 
 
-# What `mrac-jax front` says: the pick, or the prices of coverage; every setting, as curves and in figures.
+# `mrac-jax front`: the selected point, or losses by coverage; every setting, as curves and in the table.
 
 TITLES = {
     "mrac": "mrac, ended early",
@@ -302,18 +302,18 @@ PRICED = {
     ("per_cell",): TITLES["per_cell"],
     ("risk_cap", "robot_value"): "per_cell with a risk cap or robot value",
 }
-"""Columns of the table of prices, by the families in them."""
-PICK = "the pick"
+"""Columns of the table of losses by coverage, by the families in them."""
+SELECTED = "selected"
 
 
 def front_report(front: Front) -> Report:
-    """What coverage costs, in robots and in steps; the plan of the pick."""
+    """The Pareto front of coverage, robots lost and steps; the plan of the selected point."""
     choices, robots, picked = front.choices, len(front.starts), front.picked
     over_losses, over_time = _front_chart(front, "losses"), _front_chart(front, "time")
     prices = _prices(front)
     settings = settings_of(front.settings, Setting("mrac")).shown(front.world.pace)
     return Report(
-        "front", "front", asked(front.world, robots, "what does coverage cost?"), front_headline(front),
+        "front", "front", asked(front.world, robots, "how many robots does coverage cost?"), front_headline(front),
         lambda: _front_json(front), pick_lines(front), _front_key_figures(front),
         heading=(
             f"{map_words(front.world, front.cells, robots)}; {counted(len(front.points), 'setting')}, "
@@ -322,9 +322,9 @@ def front_report(front: Front) -> Report:
         ),
         picture=lambda: over_losses,
         parts=[
-            Part("Prices and settings", [_points(front) if front.goal else prices], [_footnote(front)],
+            Part("Losses and settings", [_points(front) if front.goal else prices], [_footnote(front)],
                  whole=[prices, _points(front, whole=True)]),
-            Part("What coverage costs in steps", drawn=lambda: [over_time]),
+            Part("Coverage and mission time", drawn=lambda: [over_time]),
         ],
         notes=front.notes,
         settings={name: value for name, value in settings.items() if name not in ("policy", "risk_cap", "robot_value")},
@@ -337,7 +337,7 @@ def front_report(front: Front) -> Report:
 def front_headline(front: Front) -> str:
     """Coverage and losses in one sentence, by fresh rollouts; `pick_lines` names the settings.
 
-    Of the pick; or of the settings that cost next to no robot, are the best bargain, and cover most.
+    With a goal, of the selected point; else of the points of `Front.corners`.
     """
     if front.partial:
         return f"Interrupted after {counted(len(front.points), 'setting')}."
@@ -364,18 +364,18 @@ def _picked(front: Front) -> str:
         limit = f"at most {goal.losses:g} of {_team(front)} lost on average"
     if again is not None:
         can = f"{_team(front)} can cover {_percent(again)} and lose {_lost(front, again)}, on average"
-        return f"{can}{_exact([again])}; asked for was {limit.removesuffix(' on average')}."
+        return (
+            f"{can}{_exact([again])}; the {'limit' if by_losses else 'target'} is {limit.removesuffix(' on average')}."
+        )
     if goal.pick([point.figures for point in front.points]) is not None:
         other = "more" if by_losses else "less"
-        return (
-            f"No setting is sure to have {limit} (confidence 0.95): ask for a little {other}, or --rollouts for more."
-        )
+        return f"No setting meets the goal with confidence 0.95: {limit}. Allow a little {other}, or raise --rollouts."
     if by_losses:
         least = min(front.points, key=lambda one: (one.losses.mean, -one.coverage.mean))
         fewest = of_all(least.losses.mean, len(front.starts))
-        return f"No setting has {limit}: the fewest are {fewest}, with {_named(front, least)}."
+        return f"No setting meets the limit, {limit}: the fewest losses are {fewest}, with {_named(front, least)}."
     most = max(front.points, key=lambda one: one.coverage.mean)
-    return f"No setting has {limit}: the most is {_percent(most)}, with {_named(front, most)}."
+    return f"No setting meets the target, {limit}: the most is {_percent(most)}, with {_named(front, most)}."
 
 
 def _named(front: Front, point: Point) -> str:
@@ -390,40 +390,41 @@ def _lost(front: Front, point: Point) -> str:
     return losses_said(point.losses, len(front.starts), mean_only=True)
 
 
-def _told(front: Front) -> list[Point]:
-    """The settings that the headline speaks of, on fresh rollouts."""
+def _reported(front: Front) -> list[Point]:
+    """The settings of the summary, on fresh rollouts."""
     return list(front.priced) if front.confirmed is None else [front.confirmed]
 
 
 def pick_lines(front: Front) -> list[str]:
-    """Which settings the headline speaks of, how sure their figures are, and how to have them again."""
-    told, again = _told(front), front.confirmed
-    lines = [f"{_named(front, point)}: {_fresh(front, point)}{_exact([point])}." for point in told]
+    """The settings of the summary, their figures with confidence, and the command to evaluate them."""
+    reported, again = _reported(front), front.confirmed
+    lines = [f"{_named(front, point)}: {_fresh(front, point)}{_exact([point])}." for point in reported]
     if again is not None:
         found = sourced(not again.exact, f"{_fresh(front, again)}.")
         lines = [f"Best setting found: {_named(front, again)}. {found}", _kept(front, again)]
     if front.tried > 1 and again is not None:
         place = {2: "second", 3: "third"}.get(front.tried, f"{front.tried}th")
-        lines.append(f"It is the {place} that was tried there; the confidence holds with all tries.")
+        lines.append(f"It is the {place} setting tried on fresh rollouts; the confidence accounts for all tries.")
     home = front.settings.return_to is not None
-    if front.words and told:
-        point = told[(len(told) - 1) // 2]
+    if front.words and reported:
+        # With three points this is the knee.
+        point = reported[(len(reported) - 1) // 2]
         lines.append(f"run it: {command_of(front, point)}")
     if again is not None and again.setting.deadline is not None:
         end = again.setting.deadline
-        then = "robots turn so as to be home by then" if home else "bring the team home then"
+        then = "robots start the return so as to be at the base by then" if home else "bring the team home then"
         lines.append(f"The mission ends at {front.world.pace.step(end)}, and so does its plan: {then}.")
     return lines
 
 
 def _kept(front: Front, again: Point) -> str:
-    """How sure it is that the pick keeps the limit."""
+    """The confidence with which the selected point meets the limit."""
     if again.exact:
-        return "The limit is kept: these figures are exact."
+        return "The goal is met: these figures are exact."
     bound = f"{floored(again.least, 2)} or more is covered"
     if front.goal.losses is not None:
         bound = f"{ceil(100 * again.most) / 100:.2f} robots or fewer are lost"
-    return f"The limit is kept with confidence 0.95: on average {bound}."
+    return f"The goal is met with confidence 0.95: on average {bound}."
 
 
 def _fresh(front: Front, point: Point) -> str:
@@ -432,7 +433,7 @@ def _fresh(front: Front, point: Point) -> str:
 
 
 def command_of(front: Front, point: Point) -> str:
-    """The command that evaluates a point, on other luck where that was sampled."""
+    """The command that evaluates a point; sampled points get another seed."""
     closed = [] if front.settings.plan_for == "closed_loop" else ["--plan-for", "closed_loop"]
     how = ["--plan", front.plan_file] if front.plan_file else [*closed, *point.setting.options()]
     return run_again(front.words, how, front.choices, exact=point.exact)
@@ -454,21 +455,22 @@ def _front_key_figures(front: Front) -> list[KeyFigure]:
 
 
 def _front_chart(front: Front, which: str) -> Chart:
-    """Coverage over robots lost, or over steps: a curve for each family through its settings, the pick as a mark."""
+    """Coverage over robots lost, or over steps: a curve for each family, and the selected point as a mark."""
     goal, robots = front.goal, which == "losses"
-    least = min(front.points[place].coverage.mean for place in _cheap(front))  # below it nothing is worth a look
+    # Points far below the front would only stretch the axes.
+    least = min(front.points[place].coverage.mean for place in _cheap(front))  # points below are far from the front
     seen = [point for point in front.points if point.coverage.mean >= least]
     shown = [(name, [p for p in seen if p.setting.family == family]) for family, name in TITLES.items()]
-    shown.append((PICK, [] if front.picked is None else [front.picked]))
+    shown.append((SELECTED, [] if front.picked is None else [front.picked]))
     limit = ((goal.losses, f"at most {goal.losses:g} lost"),) if robots and goal.losses is not None else ()
     return Chart(
-        title="What coverage costs in robots" if robots else "What coverage costs in steps",
+        title="Coverage and robots lost" if robots else "Coverage and mission time",
         series=tuple(
             Series.of(
                 name,
                 [getattr(point, which).mean for point in points],
                 [point.coverage for point in points],
-                kind="points" if name == PICK else "line",
+                kind="points" if name == SELECTED else "line",
             )
             for name, points in shown
             if points
@@ -482,13 +484,13 @@ def _front_chart(front: Front, which: str) -> Chart:
         y_range=(0, 100),
         fit=True,
         at_x=limit,
-        at_y=() if goal.target is None else ((100 * goal.target, f"{chance(goal.target, 12)} wanted"),),
-        note="Farther up and to the left is better. Press a name to hide a curve.",
+        at_y=() if goal.target is None else ((100 * goal.target, f"{chance(goal.target, 12)} target"),),
+        note="Farther up and to the left is better. Click a name to hide a curve.",
     )
 
 
 def _prices(front: Front) -> Table:
-    """The fewest robots lost for so much coverage."""
+    """The fewest robots lost for each landmark of coverage."""
     table = make_table(("covered, % or more", *PRICED.values()), "Fewest robots lost on average", left=())
     for mark in LANDMARKS:
         found = [front.cheapest(mark, *families) for families in PRICED]
@@ -499,17 +501,17 @@ def _prices(front: Front) -> Table:
 
 def _price(front: Front, point: Point) -> str:
     setting, step = point.setting, front.world.pace.step
-    at = ", ".join(f"{name} {value:g}" for name, value in setting.limits.items())
+    at = ", ".join(f"{SETTINGS[name].title} {value:g}" for name, value in setting.limits.items())
     lost = of_all(point.losses.mean, len(front.starts))
     return f"{lost} ({at or ('whole' if setting.deadline is None else step(setting.deadline))})"
 
 
 def _points(front: Front, whole: bool = False) -> Table:
-    """The settings that no other covers as much as with as few robots lost, and the pick; `whole`: all of them."""
+    """The Pareto front of coverage and losses, and the selected point; `whole`: all settings."""
     valued, pace = front.world.value is not None, front.world.pace
     columns = ("policy", "risk cap", "robot value", "ends at", "visited, %", "from .. to", *["value, %"] * valued,
                "lost", "from .. to", "steps", *["minutes"] * bool(pace), "")  # fmt: skip
-    title = "All settings" if whole else "What coverage costs in robots"
+    title = "All settings" if whole else "Pareto front of coverage and robots lost"
     dropped = ("steps", "from .. to", "from .. to")
     table = make_table(columns, title, left=("policy", ""), dropped=dropped, padding=(0, 1, 0, 0))
     shown = range(len(front.points)) if whole else sorted(_cheap(front), key=lambda at: front.points[at].losses.mean)
@@ -520,25 +522,23 @@ def _points(front: Front, whole: bool = False) -> Table:
         worth = () if point.value is None else (in_percent(point.value.mean, 2),)
         times = (f"{point.time.mean:,.0f}", *[f"{pace.minutes * point.time.mean:,.1f}"] * bool(pace))
         figures = (*point.coverage.columns(100.0, 100), *worth, *point.losses.columns(), *times)
-        mark = "pick" if place == front.pick else "efficient" if whole and front.efficient[place] else ""
+        mark = "selected" if place == front.pick else "efficient" if whole and front.efficient[place] else ""
         table.add_row(setting.policy, *limits, end, *figures, mark)
     return table
 
 
 def _cheap(front: Front) -> list[int]:
-    """The places of what no other covers as much as with as few lost, and of the pick."""
+    """Indices of the Pareto front of coverage and losses, and of the selected point."""
     return [place for place, cheap in enumerate(front.cheap) if cheap or place == front.pick]
 
 
 def _footnote(front: Front) -> str:
-    settings, luck = counted(len(front.points), "setting"), ", common random numbers" if front.engine else ""
+    settings, shared = counted(len(front.points), "setting"), ", common random numbers" if front.engine else ""
     if front.goal:
         of = f"{len(_cheap(front))} of {settings}"
-        return f"{of}: no other covers as much with as few lost{luck}. --out and --json have all."
-    flatters = (
-        "A price is that of the cheapest of many settings on the rollouts that chose it, so it flatters a little. "
-    )
-    return f"{flatters * bool(front.engine)}All {settings}: --out, --json. --losses or --target pick one."
+        return f"{of}, not dominated in coverage and robots lost{shared}. --out and --json list all."
+    biased = "Each entry is the minimum over many settings on the same rollouts, hence slightly too low. "
+    return f"{biased * bool(front.engine)}--out and --json list all {settings}; --losses or --target select one."
 
 
 def _front_json(front: Front) -> Json:

@@ -1,11 +1,11 @@
-"""The best starts of a team: screened by a bound and by eq. (4), the best of those simulated on common luck.
+"""Best start positions of a team: screened by an upper bound and eq. (4), then compared in simulation.
 
-1. Every candidate: the *reach bound* `sum_c g_c` (`analysis.theory.bounds.reach_chances`), one search a site.
-2. One depot: eq. (4) of one robot's plan from PLANNED candidates, the sites in turn, the best bound first.
-   One start each: teams chosen greedily by the bound, from every site as the first; and the depots.
-3. The best SIMULATED of them, and where the team stands now: `analysis.estimators.racing`. The best depot and the
-starts
-   of now go on to the end, and what is recommended is held against these on fresh rollouts.
+1. Every candidate: the upper bound `sum_c g_c` (`analysis.theory.bounds.reach_chances`), one search for each site.
+2. One depot: eq. (4) of one robot's plan from PLANNED candidates, taken from the sites in rotation, best bound first.
+   One start for each robot: teams chosen greedily by the bound, with each site as the first; and the depots.
+3. The best SIMULATED of them and the present starts: successive halving on common random numbers
+   (`analysis.estimators.racing`). The best depot and the present starts are never eliminated. The recommended place is
+   compared with them on fresh rollouts.
 """
 
 from __future__ import annotations
@@ -41,24 +41,24 @@ from planner.world.levels import check_robots, place_starts
 from planner.world.points import read_table
 from planner.world.world import FOUR_NEIGHBOURS, MAX_CELLS, World
 
-# What a search for starts holds: the places that were looked at, how good each is, the best and how sure that is.
+# Results: the places with their bounds and estimates, the best place, and the gain over the present starts.
 
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A team's starts, and what is known of them.
+    """Start positions of a team, with bounds and estimates.
 
     Attributes:
         starts: int64 `[K, 2]`.
-        screen: expected cells visited (or their value) that no strategy exceeds from there, `sum_c g_c` of
+        screen: policy-independent upper bound of the expected cells visited (or of their value), `sum_c g_c` of
             `reach_chances`.
-        one_robot: eq. (4): expected cells (or value) visited by one robot alone; None: it was not planned for.
-        coverage: visited by the team, a fraction of the accessible cells; None: it was not simulated.
-        value: visited, a fraction of what all free cells are worth; None: nobody said what that is.
-        losses: robots lost. rollouts: behind both.
-        behind: points of coverage (or value) that the best found is ahead, an interval; all of one search hold together
-            with 95 %.
-        entered: it was simulated. now: the team stands there now.
+        one_robot: eq. (4): expected cells (or value) visited by one robot alone; None: not planned.
+        coverage: visited by the team, a fraction of the accessible cells; None: not simulated.
+        value: visited, a fraction of the value of all free cells; None: the map has no values.
+        losses: robots lost. rollouts: number of rollouts of the estimates.
+        behind: interval of the best place's lead in coverage (or value); the intervals of one search are simultaneous
+            95 % intervals.
+        entered: it was selected for simulation. now: these are the present starts.
     """
 
     starts: NDArray[np.int64]
@@ -79,26 +79,26 @@ class Place:
 
     @property
     def counted(self) -> Estimate | None:
-        """What is gone by, a fraction: value where there is any, else coverage."""
+        """The figure that is compared, a fraction: value if the map has values, else coverage."""
         return self.coverage if self.value is None else self.value
 
     @property
     def at(self) -> str:
-        """Where, in words: one place for all, or one each."""
+        """Coordinates for reports: one place for all robots, or one for each."""
         places = self.starts[:1] if self.is_depot else self.starts
         return " ".join(f"[{row}, {col}]" for row, col in places.tolist())
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Starts(Searched):
-    """The answer; `words`: without the starts.
+    """The result of `starts`; `words`: arguments of the command without the starts.
 
     Attributes:
         depot: one place for all robots.
-        places: looked at: depots in order of screening, or teams of starts and depots; then where the team stands.
-        best: place of the best found, of the depots with `depot`.
-        gain: how much more is covered (or of the value) from the best than from `here`, on fresh rollouts, a fraction.
-        candidates: cells that robots may start at. rolled: rollouts of all places.
+        places: depots in order of screening, or teams of starts and depots; then the present starts.
+        best: index of the best place found, among the depots if `depot`.
+        gain: coverage (or value) of the best minus that of `here`, on fresh rollouts, a fraction.
+        candidates: int64 `[C, 2]`, cells in which robots may start. rolled: number of rollouts of all places.
         confirmed: `chosen` on fresh rollouts, ids from `choices.rollouts` on.
     """
 
@@ -115,38 +115,38 @@ class Starts(Searched):
 
     @property
     def covered(self) -> str:
-        """What the figures are shares of, in a word."""
+        """The quantity of the figures, for sentences."""
         return "covered" if self.world.value is None else "of the value covered"
 
     @property
     def here(self) -> int | None:
-        """The place where the team stands now, by the input's starts or its rule; None: in another part of the map."""
+        """Index of the present starts, those of the input or of its rule; None: they lie in another component."""
         return next((number for number, place in enumerate(self.places) if place.now), None)
 
     @property
     def stay(self) -> bool:
-        """Whether nothing found is better than where the team stands now, with 95 %."""
+        """Whether no place found is significantly better than the present starts (95 %)."""
         return self.here is not None and (self.best == self.here or (self.gain is not None and self.gain.ci95[0] <= 0))
 
     @property
     def chosen(self) -> Place:
-        """What is recommended: where the team stands if it is to stay, else the best found; with `depot` the latter."""
+        """The recommended place: the present starts if `stay`, else the best; with `depot` always the best depot."""
         return self.places[self.here if self.here is not None and self.stay and not self.depot else self.best]
 
     @property
     def starts(self) -> NDArray[np.int64]:
-        """Of that place, int64 `[K, 2]`."""
+        """Of the recommended place, int64 `[K, 2]`."""
         return self.chosen.starts
 
     @cached_property
     def simulated(self) -> tuple[Place, ...]:
-        """Those that were rolled out, the best first, then by coverage."""
+        """The simulated places, the recommended first, then by the compared figure."""
         rest = [p for p in self.places if p.coverage is not None and p is not self.chosen]
         return (self.chosen, *sorted(rest, key=lambda p: -p.counted.mean if p.counted else 0.0))
 
     @property
     def beaten(self) -> int:
-        """How many of the others the best found surely beats, all together with 95 %."""
+        """Number of other places that are significantly worse than the best found (simultaneous 95 %)."""
         return sum(p.behind is not None and p.behind[0] > 0 for p in self.places)
 
     @property
@@ -155,14 +155,14 @@ class Starts(Searched):
         return self.world.with_starts(self.starts)
 
     def plan(self) -> Plan:
-        """The plan from there."""
+        """The plan from the recommended place."""
         return make_plan(self.world, self.starts, self.settings)
 
 
-# Places where robots may start: the border of the map, a mask, or a list; which of them are worth a plan.
+# Candidates: the border of the map, a mask, or a list.
 #
-# A *site* is a set of candidates from which every strategy can do the same: those of one safe area, in which moves are
-# free of risk; a dangerous candidate is a site of its own.
+# A *site* is a set of candidates with the same upper bound: the candidates of one connected area without threat, in
+# which moves are free of risk. A candidate with threat is its own site.
 
 BORDER = "border"
 Cells = NDArray[np.int64]
@@ -170,14 +170,15 @@ Cells = NDArray[np.int64]
 
 
 def border(world: World) -> NDArray[np.bool_]:
-    """bool `[H, W]`: safe cells on the edge of the map, or beside obstacles that reach to it, as a sea does."""
+    """bool `[H, W]`: cells without threat on the edge of the map, or next to obstacles connected to it, like a sea."""
     around, _ = ndimage.label(np.pad(~world.free, 1, constant_values=True), structure=FOUR_NEIGHBOURS)
     near = ndimage.binary_dilation(around == around[0, 0], FOUR_NEIGHBOURS)[1:-1, 1:-1]
+    # The border region includes obstacles that touch the edge, as a sea does.
     return near & (world.threat == 0)
 
 
 def read_candidates(path: Path) -> tuple[NDArray, tuple[str, ...]]:
-    """What a file of candidates holds, a mask or a list: .npy, or .csv of numbers; and notes. Raises InputError."""
+    """A mask or a list of cells from a .npy or .csv file, and notes. Raises InputError."""
     if path.suffix.lower() not in (".npy", ".csv"):
         problem = f"{argument('candidates')} {path} is neither {BORDER!r} nor such a file"
         raise UsageError(problem, expected="a mask of the map or rows of row,col as .npy or .csv")
@@ -202,17 +203,18 @@ def candidate_cells(world: World, given: ArrayLike, source: object = "") -> tupl
             Two columns of numbers are a list, unless they are booleans.
         source: the file that it comes from, for errors.
 
-    Robots start in one part of the map: of several, the largest that has a candidate. Raises UsageError.
+    Robots start in one component of the map: the largest that has a candidate. Raises UsageError.
     """
     cells = _cells(world, given, str(source))
     labels = world.components
     part = labels[tuple(cells.T)]
     size = np.bincount(labels.ravel())
+    # Ties between equal components are broken by label, so that the result is reproducible.
     best = min(set(part.tolist()), key=lambda name: (-size[name], name))
     kept = cells[part == best]
     left_out = len(cells) - len(kept)
-    note = f"{left_out} of {len(cells)} candidates lie in smaller parts of the map that cannot be reached from the rest"
-    return kept, (f"{note}: left out",) if left_out else ()
+    note = f"{left_out} of {len(cells)} candidates lie in smaller components of the map, out of reach of the others"
+    return kept, (f"{note}: omitted",) if left_out else ()
 
 
 def _cells(world: World, given: ArrayLike, source: str) -> Cells:
@@ -240,7 +242,7 @@ def _cells(world: World, given: ArrayLike, source: str) -> Cells:
 
 def _listed(world: World, array: NDArray, name: str) -> Cells:
     if not np.isfinite(array).all() or (array != np.round(array)).any() or np.abs(array).max(initial=0) >= 2**31:
-        raise UsageError(f"{name}: holds numbers that are no cells", expected="row,col in whole numbers")
+        raise UsageError(f"{name}: holds numbers that are not cells", expected="row,col in whole numbers")
     cells = np.unique(array.astype(np.int64), axis=0)
     if not len(cells):
         raise UsageError(f"{name}: names no cell", expected="a candidate or more")
@@ -258,66 +260,69 @@ def _checked(world: World, cells: Cells, name: str) -> Cells:
     if blocked.any():
         row, col = cells[blocked][0].tolist()
         problem = f"{name}: [{row}, {col}] is an obstacle ({int(blocked.sum())} such of {len(cells)})"
-        raise UsageError(problem, expected="free cells", fix="leave it out")
+        raise UsageError(problem, expected="free cells", fix="remove it")
     return cells
 
 
 def sites_of(world: World, cells: Cells) -> list[Cells]:
-    """The candidates by site, each spread out: its first ones lie far from each other."""
+    """The candidates grouped by site; the first ones of each site are far from each other."""
     areas, count = ndimage.label(world.threat == 0, structure=FOUR_NEIGHBOURS)
     site = areas[tuple(cells.T)].astype(np.int64)
     dangerous = site == 0
+    # Labels of single-cell sites follow those of the areas.
     site[dangerous] = count + 1 + np.arange(int(dangerous.sum()))
     return [spread_out(cells[site == name]) for name in np.unique(site)]
 
 
 def spread_out(cells: Cells, most: int = 256) -> Cells:
-    """The cells in an order in which each is the farthest from all before it; those after the first `most` as given."""
+    """Farthest-point order of the cells, starting far from the mean; after the first `most`, the given order."""
     left = np.sum((cells - cells.mean(axis=0)) ** 2, axis=1)
     order: list[int] = []
     while len(order) < min(most, len(cells)):
         order.append(int(np.argmax(left)))
         apart = np.sum((cells - cells[order[-1]]) ** 2, axis=1)
         left = np.minimum(left, apart) if len(order) > 1 else apart.astype(np.float64)
+        # Cells already in the order must not be selected again.
         left[order] = -1.0
     rest = np.setdiff1d(np.arange(len(cells)), order)
     return cells[np.concatenate([np.array(order, dtype=np.int64), rest])]
 
 
-def in_turn(sites: Sequence[NDArray[np.int64]]) -> Iterator[NDArray[np.int64]]:
+def round_robin(sites: Sequence[NDArray[np.int64]]) -> Iterator[NDArray[np.int64]]:
     """The first item of every site, then the second of every one, ..."""
     for row in zip_longest(*map(list, sites)):
         yield from (item for item in row if item is not None)
 
 
-# Which places are worth simulating: screened by a bound, depots by eq. (4) of one robot too, teams chosen greedily.
+# Selection for simulation: by the upper bound; depots also by eq. (4) of one robot; teams are chosen greedily.
 
 PLANNED, SIMULATED = 64, 48
-"""Depots that eq. (4) is worked out for, and depots that are simulated, at most."""
+"""Largest number of depots for which eq. (4) is computed, and of depots that are simulated."""
 SHARED = 24
-"""Of the depots simulated, how many come from the sites in turn, so that no single site takes all."""
+"""Simulated depots that are taken from the sites in rotation, so that no site takes all."""
 TEAMS = 24
-"""Teams of free starts that are simulated, at most."""
+"""Largest number of simulated teams with one start for each robot."""
 MOST_CHANCES = 2**27
-"""Most numbers kept of all sites' chances to reach all cells, a gigabyte."""
+"""Largest number of (site, accessible cell) pairs whose probabilities are stored: 1 GiB."""
 
 
 class Reached(NamedTuple):
-    """Of a robot at each site, the most that can be made of the chance to visit each accessible cell, `[S, A]`.
+    """Upper bounds of the probability that one robot from each site visits each accessible cell, `[S, A]`.
 
-    `value`: of those cells `[A]`; None: they count alike.
+    `value`: of those cells, `[A]`; None: all cells count 1.
     """
 
     chances: NDArray[np.float64]
     value: NDArray[np.float64] | None
 
     def bound(self, world: World, starts: NDArray[np.int64]) -> float:
-        """The bound of a team that starts anywhere, `[K, 2]`."""
+        """The upper bound for a team with starts `[K, 2]` in any cells."""
+        # Robots are bounded independently: probability that each one misses each cell.
         missed = 1.0 - best_survival(world, starts)[:, np.flatnonzero(world.accessible(starts))]
         return float(self.sum(1.0 - np.prod(missed, axis=0)))
 
     def sum(self, of_cells: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Over the last axis, cells by their value."""
+        """The sum over the last axis, weighted by the cells' value."""
         total: NDArray[np.float64] = of_cells.sum(axis=-1) if self.value is None else of_cells @ self.value
         return total
 
@@ -326,7 +331,7 @@ def reached_from(world: World, sites: Sequence[NDArray[np.int64]]) -> Reached:
     accessible = np.flatnonzero(world.accessible(sites[0][:1]))
     if len(sites) * len(accessible) > MOST_CHANCES:
         most = MOST_CHANCES // len(accessible)
-        problem = f"candidates in {len(sites):,} places with danger between them"
+        problem = f"candidates in {len(sites):,} areas separated by threats"
         raise UsageError(problem, expected=f"at most {most:,} on this map", fix="name fewer")
     chances = np.concatenate([best_survival(world, site[:1])[:, accessible] for site in sites])
     return Reached(chances, None if world.value is None else world.value.reshape(-1)[accessible])
@@ -339,12 +344,13 @@ def depots_of(
     sites: Sequence[NDArray[np.int64]],
     reached: Reached,
 ) -> list[Place]:
-    """Every candidate as a depot, the best bound first; those that are planned for have eq. (4)."""
+    """Every candidate as a depot, best bound first; `one_robot` is set for the first PLANNED of them."""
+    # All robots start at the site, so each misses a cell with the same probability.
     bounds = reached.sum(1.0 - (1.0 - reached.chances) ** robots)
     order = np.argsort(-bounds, kind="stable").tolist()
     ordered = [sites[site] for site in order]
     planned = {}
-    for cell in islice(in_turn(ordered), PLANNED):
+    for cell in islice(round_robin(ordered), PLANNED):
         alone = make_plan(world, cell[None], settings.alone)
         known = open_loop_exact(alone, world)
         own = known.visited if world.value is None else float(Worth.of(world).value @ known.visited_by_cell)
@@ -356,10 +362,10 @@ def depots_of(
     ]
 
 
-def worth_simulating(places: Sequence[Place], sites: Sequence[NDArray[np.int64]]) -> list[int]:
-    """Which depots are simulated: SHARED from the sites in turn, then those whose nearest planned one is best.
+def depots_to_simulate(places: Sequence[Place], sites: Sequence[NDArray[np.int64]]) -> list[int]:
+    """Indices of the depots to simulate: SHARED from the sites in rotation, then by eq. (4) of the nearest planned one.
 
-    Eq. (4) hardly differs within a site; depots that it does not tell apart are spread out.
+    Eq. (4) hardly varies within a site; depots with equal values are spread out.
     """
     at = {tuple(place.starts[0].tolist()): number for number, place in enumerate(places)}
     expected = np.full(len(places), -np.inf)
@@ -370,10 +376,11 @@ def worth_simulating(places: Sequence[Place], sites: Sequence[NDArray[np.int64]]
         if len(known):
             values = np.array([places[number].one_robot for number in known])
             near = np.array([[np.abs(places[n].starts[0] - places[m].starts[0]).sum() for m in known] for n in numbers])
+            # Unplanned candidates take eq. (4) of the nearest planned one in the same site.
             expected[numbers] = values[near.argmin(axis=1)]
             leaders.append(known[np.argsort(-values, kind="stable")])
     leaders.sort(key=lambda numbers: (-expected[numbers[0]], numbers[0]))
-    chosen = [int(number) for number in islice(in_turn(leaders), SHARED)]
+    chosen = [int(number) for number in islice(round_robin(leaders), SHARED)]
     for value in np.unique(expected[np.isfinite(expected)])[::-1]:
         alike = np.setdiff1d(np.flatnonzero(expected == value), chosen)
         if len(alike) and len(chosen) < SIMULATED:
@@ -383,10 +390,10 @@ def worth_simulating(places: Sequence[Place], sites: Sequence[NDArray[np.int64]]
 
 
 def teams_of(robots: int, sites: Sequence[NDArray[np.int64]], reached: Reached) -> list[Place]:
-    """Teams with a start each: the rest chosen greedily by the bound after every site as the first; and all at one.
+    """Teams with one start for each robot, greedy by the bound for every first site; and all robots in one site.
 
-    The bound is submodular, so a greedy team's is at least 1 - 1/e of the best one's. It does not tell the cells of a
-    site apart: there are several teams of the same sites, at other cells of theirs.
+    The bound is a submodular set function, so a greedy team's bound is at least 1 - 1/e of the best team's (Nemhauser,
+    Wolsey, Fisher 1978). It is equal for all cells of a site, so several teams use the same sites with other cells.
     """
     alone = np.argsort(-reached.sum(reached.chances), kind="stable").tolist()
     chosen = [_greedily(robots, first, reached) for first in alone[:TEAMS]] + [[site] * robots for site in alone[:2]]
@@ -397,16 +404,18 @@ def teams_of(robots: int, sites: Sequence[NDArray[np.int64]], reached: Reached) 
             starts = np.array([sites[site][(way[:place].count(site) + turn) % len(sites[site])]
                                for place, site in enumerate(way)])  # fmt: skip
             if len(found) < TEAMS:
+                # Different rotations can give the same team.
                 found.setdefault(starts.tobytes(), Place(starts, _bound(reached, way)))
     return list(found.values())
 
 
 def _greedily(robots: int, first: int, reached: Reached) -> list[int]:
-    """Sites: `first`, then each time the one that adds most to the bound."""
+    """Sites: `first`, then in each step the site that adds most to the bound."""
     chances, worth = reached.chances, 1.0 if reached.value is None else reached.value
     team, missed = [first], 1.0 - chances[first]
     while len(team) < robots:
         team.append(int(np.argmax(chances @ (missed * worth))))
+        # Marginal gains shrink by the probability that the team already reaches the cell.
         missed = missed * (1.0 - chances[team[-1]])
     return team
 
@@ -415,7 +424,7 @@ def _bound(reached: Reached, team: Sequence[int]) -> float:
     return float(reached.sum(1.0 - np.prod(1.0 - reached.chances[list(team)], axis=0)))
 
 
-ELSEWHERE = "where the team stands now reaches other cells than the candidates: it is not compared"
+ELSEWHERE = "The present starts reach other cells than the candidates and are not compared"
 
 
 def find_starts(
@@ -431,14 +440,18 @@ def find_starts(
     progress: ProgressCallback | None = None,
     doing: Doing | None = None,
 ) -> Starts:
-    """The best starts of so many robots in `world`, for robots that take over from each other.
+    """The best start positions of a team in `world`, for closed-loop missions.
 
     Args:
-        depot: one place for all, else one each. candidates, source: as of `candidate_cells`.
-        choices: rollouts of the last two that are left, the same ids for all; the best is rolled out again on others.
+        depot: one place for all robots, else one for each. candidates, source: see `candidate_cells`.
+        choices: rollouts of the two finalists, the same ids for all places; the best is simulated again on fresh ids.
 
-    An interruption (KeyboardInterrupt) while they are simulated leaves the best so far, `partial`; before the first
-    was, it is raised again. Raises InputError.
+    Returns:
+        The result. After an interruption (KeyboardInterrupt) of the simulations: the best so far, `partial`.
+
+    Raises:
+        InputError: no valid candidate, or an argument out of range.
+        KeyboardInterrupt: before the first place was simulated.
     """
     choices = choices.timed(world.pace)
     check_search(world, settings, choices, "a search for starts")
@@ -447,6 +460,7 @@ def find_starts(
     say("screening")
     places = _places(world, robots, settings, cells, depot)
     field = _Field(world, settings, choices, places, depot)
+    # The winner of a race is biased upward, so its figures come from fresh rollouts.
     stopped, fresh = False, dict[int, Measured]()
     say("simulating")
     try:
@@ -478,21 +492,21 @@ def find_starts(
 
 
 def team_size(world: World, robots: int | None) -> int:
-    """How many robots: as asked for, else as many as the input's starts, else its count, else 1. Raises UsageError."""
+    """The team's size: as given, else the number of the input's starts, else its count, else 1. Raises UsageError."""
     check_robots(robots)
     named = len(world.starts) if world.starts is not None else world.team.robots or 1
     return named if robots is None else robots
 
 
 def _places(world: World, robots: int, settings: Settings, cells: NDArray[np.int64], depot: bool) -> list[Place]:
-    """What may be simulated, `entered` where they are: depots, with teams of free starts unless a `depot` is asked for.
+    """The places, `entered` if selected for simulation: depots, and with free starts also teams.
 
-    The last is where the team stands now, if it can reach the same cells.
+    The last one is the present starts, if they reach the same cells.
     """
     sites = sites_of(world, cells)
     reached = reached_from(world, sites)
     depots = depots_of(world, robots, settings, sites, reached)
-    for place in worth_simulating(depots, sites):
+    for place in depots_to_simulate(depots, sites):
         depots[place] = replace(depots[place], entered=True)
     found = {} if not depot else {place.starts.tobytes(): place for place in depots}
     if not depot:
@@ -501,23 +515,24 @@ def _places(world: World, robots: int, settings: Settings, cells: NDArray[np.int
     now = standing(world, robots)
     if not np.array_equal(world.accessible(now), world.accessible(cells[:1])):
         return list(found.values())
+    # The present starts come last and once, also if they are among the candidates.
     known = found.pop(now.tobytes(), None) or Place(now, reached.bound(world, now))
     return [*found.values(), replace(known, entered=True, now=True)]
 
 
 def standing(world: World, robots: int) -> NDArray[np.int64]:
-    """Where the team stands if nobody says otherwise: the first so many starts of the input, else by its rule."""
+    """The present starts: the first of the input's starts, else those of its rule."""
     if world.starts is not None and len(world.starts) >= robots:
         return world.starts[:robots]
     return place_starts(world, robots, world.team.start)[0]
 
 
 class _Field:
-    """The places that are simulated against each other, and what is known of them.
+    """The simulated places and their estimates.
 
     Attributes:
-        race: of those `entered`, in the order of the places. cells: accessible.
-        now: the place where the team stands, or none.
+        race: of the places that are `entered`, in their order. cells: number of accessible cells.
+        now: index of the present starts, as a list of length 0 or 1.
     """
 
     def __init__(
@@ -528,7 +543,7 @@ class _Field:
         self.now = [number for number in self.entered if places[number].now]
         self.cells = int(world.accessible(places[0].starts).sum())
         depots = {self.contender(number) for number in self.entered if places[number].is_depot}
-        hers = {self.contender(number) for number in self.now}
+        present = {self.contender(number) for number in self.now}
         self.able = depots if depot else range(len(self.entered))
         pairs = AllPairs()
 
@@ -538,20 +553,20 @@ class _Field:
         self.race = Halving(
             [partial(enter, number) for number in self.entered],
             choices.rollouts,
-            kept=[group for group in (depots, hers) if group],
+            kept=[group for group in (depots, present) if group],
         )
 
     def contender(self, place: int) -> int:
-        """Its number in the race."""
+        """Index of a place in the race."""
         return self.entered.index(place)
 
     @property
     def best(self) -> int:
-        """The place of the best found, of the depots where one is asked for."""
+        """Index of the best place, among the depots if one depot is needed."""
         return self.entered[self.race.best_of(self.able)]
 
     def known(self, place: Place, found: Measured) -> Place:
-        """A place with what it comes to."""
+        """The place with its estimates."""
         return replace(
             place,
             coverage=found.mean("visited", 1.0 / self.cells),
@@ -561,7 +576,7 @@ class _Field:
         )
 
     def figures(self) -> tuple[Place, ...]:
-        """All places, those that were simulated with their figures, and how far the best is ahead of the others."""
+        """All places; those simulated with estimates and with the best place's lead over them."""
         found, best = list(self.places), self.contender(self.best)
         for contender, number in enumerate(self.entered):
             if contender in self.race.runs:
@@ -570,7 +585,7 @@ class _Field:
         return tuple(found)
 
     def gain(self, fresh: Mapping[int, Measured]) -> Estimate | None:
-        """How much more is covered from the best than from where the team stands, on fresh rollouts."""
+        """Coverage (or value) of the best minus that of the present starts, on fresh rollouts."""
         if not self.now or self.now[0] == self.best or self.now[0] not in fresh:
             return None
         best = fresh[self.best]

@@ -1,7 +1,7 @@
-"""How many robots are needed: the smallest team whose expected coverage, or whose chance of it, reaches a target.
+"""The smallest team whose expected coverage, or whose chance of it, reaches a target.
 
-Every team is planned anew for its starts, the first so many of one list, and rolled out with the same seed: robot i
-meets the same luck in teams of every size (SPEC section 14), so that the curve over the teams is smooth.
+Each team is planned for the first starts of one list and simulated with the same seed. Robot i has the same random
+numbers in teams of every size (docs/spec.md section 14), so that the curve over the team size is smooth.
 """
 
 from __future__ import annotations
@@ -31,37 +31,35 @@ from planner.settings import Settings
 from planner.world.levels import place_starts
 from planner.world.world import MAX_ROBOTS, World
 
-# The rules behind `mrac-jax size`: when a team is enough, which teams are looked at, and which cannot be enough.
-#
-# Pure functions of counts and numbers; what rolls out is `analysis.search.team_size`.
+# Rules of `mrac-jax size`: verdicts, the order of the search, and upper bounds. Pure functions of numbers.
 
 FEW = 32
-"""So many teams below the one found are all looked at; of more, the search halves the gap first."""
+"""Up to this many teams below the one found are all simulated; a larger gap is halved first."""
 
 
 class TeamVerdict(StrEnum):
-    """What is known of one team."""
+    """The decision on one team."""
 
     ENOUGH = "enough"
     NOT_ENOUGH = "not enough"
     UNDECIDED = "undecided"
     IMPOSSIBLE = "impossible"
-    """Not enough whatever the strategy: shown without rollouts."""
+    """Not enough for any policy: shown by an upper bound, without rollouts."""
 
 
 def judge_team(interval: tuple[float, float], wanted: float) -> TeamVerdict:
-    """Enough if the whole interval lies at or above `wanted`, not enough if it lies below, else undecided."""
+    """ENOUGH if the whole interval is at or above `wanted`, NOT_ENOUGH if it is below, else UNDECIDED."""
     verdicts = {True: TeamVerdict.ENOUGH, False: TeamVerdict.NOT_ENOUGH, None: TeamVerdict.UNDECIDED}
     return verdicts[is_at_least(interval, wanted)]
 
 
 def smallest_enough(first: int, most: int, verdict_of: Callable[[int], TeamVerdict]) -> int | None:
-    """The smallest team found to be enough among `first .. most`, or None; `verdict_of` is asked once for each team.
+    """The smallest team found to be enough among `first .. most`, or None; `verdict_of` is called once for each team.
 
-    Coverage need not grow with the team, so neither end of the search relies on it where that can be afforded: teams
-    of `first + 0, 1, 2, 4, 8, ...` are looked at until one is enough (or `most` is reached); then all smaller ones
-    that were passed over, in increasing order, if they are at most FEW. Of more, the gap below the team found is
-    halved until at most FEW are in it, which are all looked at; those passed over elsewhere are not.
+    Coverage need not increase with the team size, so a pure bisection could miss a smaller team. Teams of
+    `first + 0, 1, 2, 4, 8, ...` are simulated until one is enough or `most` is reached; then all smaller teams that
+    were skipped, in increasing order, if they are at most FEW. If there are more, the gap below the team found is
+    halved until at most FEW remain in it, which are all simulated; teams skipped elsewhere are not.
     """
     known: dict[int, bool] = {}
 
@@ -76,6 +74,7 @@ def smallest_enough(first: int, most: int, verdict_of: Callable[[int], TeamVerdi
             found = robots
             break
         below = robots
+    # `found` itself is known, so only smaller teams remain.
     passed_over = [k for k in range(first, found or most) if k not in known]
     if len(passed_over) > FEW:
         if found is None:
@@ -99,7 +98,7 @@ def _strides(first: int, most: int) -> Iterator[int]:
 
 @dataclass(frozen=True, eq=False)
 class Ideals:
-    """Upper bounds for every strategy, by team: entry k - 1 is that of k robots, axis `most`.
+    """Policy-independent upper bounds by team size: entry k - 1 is that of k robots, axis `most`.
 
     Attributes:
         coverage: float64, expected cells visited as a fraction of `cells`.
@@ -111,39 +110,41 @@ class Ideals:
 
 
 def team_ideals(world: World, starts: NDArray[np.int64], cells: int, needed: int, last_step: int | None) -> Ideals:
-    """The ideals of the first 1, 2, ..., K robots of `starts` `[K, 2]` (row, col), for both meanings of "covered".
+    """Upper bounds for the first 1, 2, ..., K robots of `starts` `[K, 2]`, for both meanings of "covered".
 
-    The expectation is that of `analysis.theory.bounds.ideal_team`; its terms are chances, so they bound the chance too:
-    who visits `needed` cells has lost fewer than k robots on `needed - 1` different cells before, at best on the least
-    dangerous. By the end of step T, k robots have entered at most k (T + 1) cells.
+    The bound of the expectation is that of `analysis.theory.bounds.ideal_team`. Its terms bound the chance too: a team
+    that visits `needed` cells has lost fewer than k robots on `needed - 1` different cells before, at best on the least
+    dangerous ones. By the end of step T, k robots have entered at most k (T + 1) cells.
 
     Args:
-        cells: of which coverage is a fraction. needed: cells to visit. last_step: T, or None.
+        cells: denominator of the coverage. needed: cells to visit. last_step: T, or None.
     """
     labels = world.components
     own = labels[starts[:, 0], starts[:, 1]]
     coverage, chance = np.zeros(len(starts)), np.zeros(len(starts))
     for robots in range(1, len(starts) + 1):
-        if own[robots - 1] not in own[: robots - 1]:  # a part of the map that no robot before it can reach
+        # Cells of a component count once, when its first robot joins.
+        if own[robots - 1] not in own[: robots - 1]:  # a component that no earlier robot can reach
             threat = world.threat[np.isin(labels, own[:robots])].astype(np.float64)
             expected, reached = ideals_of(threat, len(starts), needed)
         coverage[robots - 1], chance[robots - 1] = expected[robots - 1], reached[robots - 1]
     if last_step is not None:
         entries = np.arange(1, len(starts) + 1) * (last_step + 1.0)
+        # A robot enters at most one cell in a step.
         coverage, chance = np.minimum(coverage, entries), np.where(entries < needed, 0.0, chance)
     return Ideals(np.minimum(coverage / cells, 1.0), np.minimum(chance, 1.0))
 
 
 def ideals_of(threat: NDArray[np.float64], most: int, needed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(expected cells visited, chance to visit `needed` cells) at best by 1, 2, ..., `most` robots, float64 `[most]`.
+    """Upper bounds of the expected cells visited, and of the chance of `needed`, for 1 .. `most` robots, `[most]` each.
 
-    `threat`: float64 `[accessible]`, the accessible cells' p. One pass over the dangerous cells for all teams.
+    `threat`: float64 `[accessible]`, p of the accessible cells. One pass over the dangerous cells serves all teams.
     """
     dangerous = np.sort(threat[threat > 0])
     safe = len(threat) - len(dangerous)
     total = np.full(most, float(safe))
     chance = np.full(most, 1.0 if needed <= safe else 0.0)
-    hits = np.zeros(most)  # chance of so many hits on the cells so far
+    hits = np.zeros(most)  # entry k: probability of k losses on the cells so far
     hits[0] = 1.0
     for number, p in enumerate(dangerous, start=safe + 1):
         alive = np.cumsum(hits)
@@ -151,6 +152,7 @@ def ideals_of(threat: NDArray[np.float64], most: int, needed: int) -> tuple[NDAr
         if number == needed:
             chance = alive
         shifted = hits[:-1] * p
+        # Poisson binomial recursion; the last entry is dropped, as a team of `most` can lose no more.
         hits *= 1.0 - p
         hits[1:] += shifted
     return total, chance
@@ -158,21 +160,21 @@ def ideals_of(threat: NDArray[np.float64], most: int, needed: int) -> tuple[NDAr
 
 Meaning = Literal["visited", "survived"]
 CONFIDENCE = 0.95
-"""Of `--complete`, when none is given."""
+"""Default confidence with `--complete`."""
 MOST = 64
-"""Robots of the largest team that is looked at, when nobody says."""
+"""Default size of the largest team."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """What a team has to reach to be enough.
+    """The target of the search.
 
     Attributes:
         target: fraction of the accessible cells, 0 < target <= 1.
-        confidence: None: the expected coverage is to reach `target`; else the chance to cover at least `target` is to
-            reach this, 0 < confidence < 1.
-        complete: the target is every accessible cell. meaning: of "covered" (SPEC section 2).
-        most: robots of the largest team to look at.
+        confidence: None: the expected coverage must reach `target`; else the probability to cover at least `target`
+            must reach this value, 0 < confidence < 1.
+        complete: the target is every accessible cell. meaning: of "covered" (docs/spec.md section 2).
+        most: size of the largest team.
     """
 
     target: float
@@ -183,7 +185,7 @@ class Goal:
 
     @property
     def wanted(self) -> float:
-        """What the deciding figure, expected coverage or chance, has to reach."""
+        """The threshold of the deciding figure, expected coverage or chance."""
         return self.target if self.confidence is None else self.confidence
 
 
@@ -194,7 +196,7 @@ def make_goal(
     meaning: Meaning = "visited",
     most: int | None = None,
 ) -> Goal:
-    """The goal that options ask for; raises UsageError for one out of range, or for a contradiction."""
+    """The goal of the options. Raises UsageError for a value out of range, or for a contradiction."""
     check_word("meaning", meaning, ("visited", "survived"))
     if complete and target is not None:
         raise UsageError(f"both {argument('complete')} and {argument('target')} are given", expected="one of them")
@@ -211,16 +213,15 @@ def make_goal(
 
 @dataclass(frozen=True)
 class TeamPoint:
-    """One team of the curve. Estimates are None for a team that was not rolled out.
+    """One team of the curve. Estimates are None if the team was not simulated.
 
     Attributes:
-        robots: its size. verdict: whether it is enough.
-        ideal_coverage, ideal_chance: what no strategy of so many robots exceeds: mean fraction, and chance.
-        rollouts: how many were run; 0: all is known without. interval: of the deciding figure, what the verdict is
-            drawn from.
+        robots: team size. verdict: whether it is enough.
+        ideal_coverage, ideal_chance: policy-independent upper bounds: of the mean fraction, and of the chance.
+        rollouts: number simulated; 0: all figures are exact. interval: of the deciding figure, for the verdict.
         coverage: fraction of the accessible cells. chance: to cover at least the target. time: steps. alive: robots.
-        exact: the coverage is known, not sampled.
-        value: visited, a fraction of what all free cells are worth; None: nobody said what that is.
+        exact: the coverage is an exact expectation.
+        value: visited, a fraction of the value of all free cells; None: the map has no values.
     """
 
     robots: int
@@ -239,16 +240,16 @@ class TeamPoint:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TeamSize(Answer):
-    """The answer.
+    """The result of `size`.
 
     Attributes:
-        world, starts: where; int64 `[K, 2]` of the largest team. settings: of its plans. goal, choices: what was asked.
-        cells: accessible cells, those that the largest team can reach. needed: how many of them the target is.
-        points: the teams looked at or ruled out, by size. robots: the smallest that is enough, or None (also
-            when it was interrupted).
-        doubt: chance of error of a single look at one team (see `share_of_doubt`).
-        confirmed: the team found on fresh rollouts, ids that none of the teams had; None: its figures are exact.
-        engine: that rolled out; "" if nothing was. partial: True if it was interrupted. notes: what a user should know.
+        world: the map. starts: int64 `[K, 2]` of the largest team. settings: of the plans. goal, choices: as given.
+        cells: number of cells that the largest team can reach. needed: number of them that makes the target.
+        points: the teams simulated or excluded by a bound, by size. robots: the smallest that is enough, or None (also
+            after an interruption).
+        doubt: error probability of one comparison of one team (see `share_of_doubt`).
+        confirmed: the team found on rollout ids that no team had in the search; None: its figures are exact.
+        engine: engine of the rollouts; "" if there were none. partial: True after an interruption. notes: for the user.
     """
 
     reported_by = "analysis.search.reports:size_report"
@@ -270,37 +271,37 @@ class TeamSize(Answer):
     notes: tuple[str, ...] = ()
 
     def of(self, verdict: TeamVerdict) -> tuple[int, ...]:
-        """The teams with this verdict that could still be the smallest: those below the one found, if there is one."""
+        """The teams with this verdict that may still be the smallest: those below the one found, if there is one."""
         found = self.robots or len(self.starts) + 1
         return tuple(point.robots for point in self.points if point.verdict is verdict and point.robots < found)
 
     @property
     def deadline(self) -> int | None:
-        """The step up to which all is counted: what was asked, else the mission's own."""
+        """The step up to which all is counted: the given deadline, else the mission's."""
         return self.choices.deadline if self.choices.deadline is not None else self.settings.deadline
 
     @property
     def passed_over(self) -> tuple[int, ...]:
-        """The teams below the one found (or all) that were neither looked at nor ruled out."""
+        """The teams below the one found (or all) that were neither simulated nor excluded by a bound."""
         seen = {point.robots for point in self.points}
         return tuple(k for k in range(1, self.robots or len(self.starts) + 1) if k not in seen)
 
     def point(self, robots: int) -> TeamPoint:
-        """The point of a team that is there."""
+        """The point of a team that is in `points`."""
         return next(point for point in self.points if point.robots == robots)
 
 
 def team_starts(world: World, goal: Goal) -> tuple[NDArray[np.int64], tuple[str, ...]]:
     """(starts of the largest team, int64 `[K, 2]`, notes); smaller teams take the first of them.
 
-    They are the world's own if it has any, at most so many as there are; else those of the start rule.
+    They are the world's starts if it has any, at most the given number; else those of the start rule.
     """
     if world.starts is None:
         return place_starts(world, goal.most)
     given = len(world.starts)
     if given >= goal.most:
         return world.starts[: goal.most], ()
-    return world.starts, (f"{given} starts are given, so no team of more than {given} is looked at",)
+    return world.starts, (f"{given} starts are given, so teams of more than {given} are not simulated",)
 
 
 def find_size(
@@ -314,20 +315,26 @@ def find_size(
 ) -> TeamSize:
     """The smallest team that is enough.
 
-    A team is rolled out until the interval of its deciding figure leaves the wanted value on one side, looked at only
-    after 1,024 * 2**j rollouts and after `choices.rollouts`; with `choices.precision` until the 95 % interval of its
-    mean coverage is that narrow. All verdicts of the search together hold with 95 % confidence (`share_of_doubt`); the
-    intervals behind them hold for every number of rollouts (`mean_interval`, `chance_interval`). Nothing is rolled out
-    of a team whose tree ends in time (`analysis.estimators.trial`), and expected coverage of the open loop is exact.
-    Coverage is a fraction of the cells that the largest team can reach: where starts lie in several parts of the map, a
-    smaller team reaches fewer. With `choices.deadline` everything is counted up to the end of that step.
+    A team is simulated until the interval of its deciding figure lies on one side of the threshold. The interval is
+    computed only after 1,024 * 2**j rollouts and after `choices.rollouts`. With `choices.precision` a team is simulated
+    until the 95 % interval of its mean coverage has that half-width. The verdicts of the search are simultaneous with
+    95 % confidence (`share_of_doubt`); their intervals are valid for every number of rollouts (`mean_interval`,
+    `chance_interval`). Teams whose expectations are computed exactly in time are not sampled
+    (`analysis.estimators.trial`); expected coverage of the open loop is always exact. Coverage is a fraction of the
+    cells that the largest team can reach; a smaller team may reach fewer components. With `choices.deadline` all is
+    counted up to the end of that step.
 
-    An interruption (KeyboardInterrupt) ends it with what was done, `partial`; if that is nothing, it is raised again.
-    Raises InputError.
+    Returns:
+        The result. After an interruption (KeyboardInterrupt): the teams done so far, `partial`.
+
+    Raises:
+        InputError: an argument or setting out of range.
+        KeyboardInterrupt: before the first team was simulated.
     """
     settings.check()
     choices = choices.timed(world.pace)
     search = _Search(world, settings, goal, choices, progress, doing)
+    # No team is enough if even the bound of the largest one is too low.
     robots, partial = None, False
     try:
         if search.first is not None:
@@ -344,7 +351,7 @@ def find_size(
 
 
 def _check_alike(settings: Settings) -> None:
-    """Raise UsageError for ranges or susceptibilities one a robot: teams of other sizes have none."""
+    """Raise UsageError for settings with one value for each robot: they do not fit teams of other sizes."""
     for name in ("range", "hazard_multiplier", "types", "steps_per_move"):
         given = getattr(settings, name)
         if isinstance(given, tuple):
@@ -353,7 +360,7 @@ def _check_alike(settings: Settings) -> None:
 
 
 class _Search:
-    """The teams looked at so far."""
+    """State of the search: the teams simulated so far."""
 
     def __init__(
         self, world: World, settings: Settings, goal: Goal, choices: RolloutChoices, progress: ProgressCallback,
@@ -367,28 +374,31 @@ class _Search:
         self.cells = int(accessible.sum())
         self.safe = not (world.threat[accessible] > 0).any()
         self._check()
+        # The tolerance keeps 0.7 * 10 from becoming 8 by rounding.
         self.needed = math.ceil(goal.target * self.cells - 1e-9)
         _check_alike(settings)
         moves = settings.range if settings.recharge is None else None
         ends = [end for end in (choices.deadline, settings.last_step, moves) if isinstance(end, int)]
         self.ideals: Ideals = team_ideals(world, self.starts, self.cells, self.needed, min(ends, default=None))
-        if not settings.bearing().is_plain:  # they presume that a visit stops with p
+        if not settings.bearing().is_plain:  # the bounds assume that a visit destroys a robot with probability p
             self.ideals = Ideals(np.ones(len(self.starts)), np.ones(len(self.starts)))
         bound = self.ideals.coverage if goal.confidence is None else self.ideals.chance
         able = np.array([is_at_least((0.0, float(best)), goal.wanted) is not False for best in bound])
         self.first = int(able.argmax()) + 1 if able.any() else None
         marks = set(looks(BLOCK))
         if choices.precision is None:
+            # The last check is at the given number of rollouts, whatever its size.
             marks = {mark for mark in marks if mark < choices.rollouts} | {choices.rollouts}
         self.marks = marks
         able_teams = len(self.starts) + 1 - self.first if self.first else 1
+        # Union bound over all teams and checks of the search.
         self.doubt = share_of_doubt(able_teams, len(marks))
         self.engine, self.all_pairs = "", AllPairs()
         ruled_out = range(1, self.first or len(self.starts) + 1)
         self.points = {k: self._unseen(k, TeamVerdict.IMPOSSIBLE) for k in ruled_out}
 
     def _check(self) -> None:
-        """Refuse what no number of rollouts can decide."""
+        """Reject a target that no number of rollouts can decide."""
         sampled = self.choices.loop == "closed" and not self.safe
         if sampled and self.goal.confidence is None and self.goal.target == 1:
             raise UsageError(
@@ -402,7 +412,7 @@ class _Search:
         return TeamPoint(robots, verdict, float(best.coverage[robots - 1]), float(best.chance[robots - 1]))
 
     def look_at(self, robots: int) -> TeamVerdict:
-        """Plan and roll out a team until its verdict is clear, or for as long as the choices allow."""
+        """Plan and simulate a team until its verdict is clear, or up to the limit of the choices."""
         self.doing(counted(robots, "robot"))
         trial, last = self._trial(robots), None
         try:
@@ -413,6 +423,7 @@ class _Search:
                     if found.certain or self._enough_rollouts(point):
                         break
         except KeyboardInterrupt:
+            # An interrupted team keeps its figures, but has no verdict.
             if last is not None:
                 self.points[robots] = replace(self._point(trial, last), verdict=TeamVerdict.UNDECIDED)
             raise
@@ -424,7 +435,7 @@ class _Search:
         return Trial(self.world, plan, self.choices, self.all_pairs)
 
     def _rolled(self, trial: Trial, start: int = 0, count: int | None = None) -> Iterator[Measured]:
-        """What the team comes to: exactly; or where it stands after every so many rollouts."""
+        """The team's estimates: exact, or cumulative after every block of rollouts."""
         known, choices = trial.known(), self.choices
         if known is not None:
             histories = known.tree.histories
@@ -445,13 +456,14 @@ class _Search:
         return point.coverage.half_width < self.choices.precision
 
     def _point(self, trial: Trial, found: Measured) -> TeamPoint:
-        """What a team comes to; in the open loop means are exact."""
+        """The team's estimates and verdict; in the open loop means are exact."""
         meaning, known = self.goal.meaning, trial.open_loop
         coverage, chance = found.mean(meaning, 1.0 / self.cells), found.chance(meaning, self.needed)
         value = found.mean("value") if found.counted == "value" else None
         low, high = (end / self.cells for end in found.bounds(meaning, self.doubt))
         if known is not None:
             coverage = exactly(getattr(known, meaning) / self.cells)
+            # An exact mean has a degenerate interval.
             low, high = coverage.ci95
             if self.world.value is not None:
                 worth = Worth.of(self.world)
@@ -472,19 +484,20 @@ class _Search:
         )
 
     def confirm(self, robots: int) -> TeamPoint | None:
-        """The team on as many rollouts that had no part in the choice, from the first that none of the teams had.
+        """The team on the same number of fresh rollouts, ids from the first that no team used.
 
-        None where its figures are exact, or there are not so many ids.
+        None if its figures are exact, or if there are not enough ids.
         """
         count, start = self.points[robots].rollouts, max(point.rollouts for point in self.points.values())
         trial = self._trial(robots)
         if not count or trial.certain or start + count > MOST_ROLLOUTS:
             return None
+        # Only the estimate after all rollouts counts.
         *_, last = self._rolled(trial, start, count)
         return self._point(trial, last)
 
     def result(self, robots: int | None, partial: bool) -> TeamSize:
-        """The answer from the points as they stand."""
+        """The result from the current points."""
         return TeamSize(
             world=self.world,
             starts=self.starts,

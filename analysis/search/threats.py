@@ -1,4 +1,4 @@
-"""Which threat to remove first, and where threats cost a team most: one after the other on common random numbers."""
+"""Search for the threats whose removal gains most, and for the positions where threats cost most coverage."""
 
 from __future__ import annotations
 
@@ -32,21 +32,20 @@ from planner.world.levels import find_levels
 from planner.world.robot_types import Sources, Thing, Things
 from planner.world.world import World
 
-# Which threat to remove first, for robots that know that it is gone; greedy for several.
-
-# Threats, and what each costs: what `clear` takes away and what an adversary places.
+# Threats and the gain of removing, or the cost of placing, each.
 
 EVEN = 0.05
-"""Robots lost more or fewer that are called none."""
+"""Differences of mean robots lost below this are reported as none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Threat:
-    """A connected area of danger, or a polygon, a point or a site of the scenario's threats; or a cell to threaten.
+    """A connected area of equal threat, a polygon, point or site of the scenario, or a cell with a placed threat.
 
     Attributes:
-        name: of the area, or as the user's file says. cells: int64 `[n]` (indices).
-        p: the largest chance that a visit stops, of it alone. thing: its number in `World.sources`; None: an area.
+        name: of the area, or as in the user's file. cells: int64 `[n]`, flat indices.
+        p: largest probability that a visit destroys a robot, of this threat alone. thing: its index in
+            `World.sources`; None: an area.
     """
 
     name: str
@@ -55,19 +54,20 @@ class Threat:
     thing: int | None = None
 
     def cleared(self, world: World) -> World:
-        """The map without it; where others overlap it, with theirs."""
+        """The map without this threat; threats that overlap it remain."""
         if self.thing is not None and world.sources is not None:
             sources = world.sources.without(self.thing)
             return replace(world, threat=sources.threat(), sources=sources)
         threat = world.threat.copy()
         threat.reshape(-1)[self.cells] = 0.0
+        # Worlds share arrays, so their arrays are read-only.
         threat.setflags(write=False)
         return replace(world, threat=threat)
 
     def placed(self, world: World) -> World:
-        """The map with it too, combined with what is there as its scenario says, else as independent threats.
+        """The map with this threat in addition, combined by the scenario's rule, else as independent threats.
 
-        Its `sources` are what was placed, each to be cleared again, and the map as it was before.
+        `sources` of the new map are the placed threats, each removable, and the map as it was before.
         """
         sources = world.sources
         if sources is None or not np.array_equal(sources.threat(), world.threat, equal_nan=True):
@@ -80,9 +80,9 @@ class Threat:
 
 @dataclass(frozen=True)
 class Gain:
-    """What is won on average without a threat: `cells` visited more, `robots` lost fewer, on the same `rollouts`.
+    """Mean gain of removing a threat: `cells` visited more and `robots` lost fewer, on the same `rollouts`.
 
-    `value`: of visited cells, more; None where nobody said what they are worth.
+    `value`: visited value, more; None: the map has no values.
     """
 
     cells: Estimate
@@ -92,34 +92,34 @@ class Gain:
 
     @property
     def counted(self) -> Estimate:
-        """What is gone by: value where there is any, else cells."""
+        """The gain that is compared: value if the map has values, else cells."""
         return self.cells if self.value is None else self.value
 
     def said(self, more: str) -> str:
-        """Beside the figure that is gone by: cells that are `more` or fewer, if that is value, and robots lost."""
+        """The other gains, for reports: cells `more` or fewer, if value is compared, and robots lost."""
         words = ("more", "fewer") if more == "more" else ("fewer", "more")
         cells = "" if self.value is None else f"{self.cells.more(unit=' cells', words=words)}, "
         even = max(map(abs, self.robots.ci95))
         if even < EVEN:
-            return f"{cells}as many robots lost" + (f" (± {even:.1g})" if even >= EVEN / 10 else "")
+            return f"{cells}the same losses" + (f" (± {even:.1g})" if even >= EVEN / 10 else "")
         lost = self.robots if self.robots.mean >= 0 else self.robots.negated
         return f"{cells}{lost.said()} robots lost {words[self.robots.mean >= 0]}"
 
     def to_json(self) -> Json:
-        """Cells, with value and robots beside them."""
+        """Cells, value and robots as JSON."""
         worth = {} if self.value is None else {"value": self.value.to_json()}
         return self.cells.to_json() | worth | {"robots": self.robots.to_json(), "rollouts": self.rollouts}
 
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
-    """A threat, and what it costs.
+    """A threat with its cost.
 
     Attributes:
-        screen: how much higher the bound for every strategy is without it, in cells (or value); None: it was not
-            asked. hits: robots lost in it a run, as things are.
-        known: for robots that plan anew; None: it was not simulated. unknown: for robots that do as before.
-        behind: cells (or value) that the best costs more, an interval; all of one search hold together with 95 %.
+        screen: rise of the policy-independent upper bound without the threat, in cells (or value); None: not computed.
+        hits: mean robots lost in it per rollout, on the present map.
+        known: gain if the team replans; None: not simulated. unknown: gain if the team keeps its plan.
+        behind: interval of the best threat's lead in cells (or value); simultaneous 95 % intervals in one search.
     """
 
     threat: Threat
@@ -132,7 +132,7 @@ class Weighed:
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """One threat picked: all that were left `options`, `pick` the place of the one that costs most."""
+    """Selection of one threat: the remaining threats `options`, and `pick`, the index of the one that costs most."""
 
     options: tuple[Weighed, ...]
     pick: int
@@ -140,41 +140,41 @@ class Turn:
 
     @property
     def picked(self) -> Weighed:
-        """What was picked."""
+        """The selected threat."""
         return self.options[self.pick]
 
     @property
     def simulated(self) -> tuple[Weighed, ...]:
-        """Those that were planned for anew, the best first."""
+        """The threats that were simulated with replanning, the selected first, then by gain."""
         rest = [one for one in self.options if one.known is not None and one is not self.picked]
         return (self.picked, *sorted(rest, key=lambda one: -one.known.counted.mean if one.known else 0.0))
 
     @property
     def best_unknown(self) -> Weighed:
-        """The one that costs robots most that do not know."""
+        """The threat with the largest gain if the team keeps its plan."""
         return max(self.options, key=lambda one: one.unknown.counted.mean)
 
     def certainty(self, more: str) -> str:
-        """A sentence: than how many others the pick is surely `more`, as "worth more"."""
+        """A sentence on the number of threats that the selected one is significantly `more` than, as "worse"."""
         others = [(one.threat.name, one.behind[0] > 0) for one in self.simulated if one.behind is not None]
         if not others:
-            return "There is no other."
-        how = "95 %, all together" if self.rolled else "exact"
+            return "There is no other threat."
+        how = "simultaneous 95 %" if self.rolled else "exact"
         close = [name for name, beaten in others if not beaten]
         alike = f"{', '.join(close[:4])}{' and more' if len(close) > 4 else ''}"
         rest = f"the other {len(others)}" if len(others) > 1 else "the other one"
         if len(close) == len(others):
             return f"No significant difference from {rest} ({how}): {alike}."
         if not close:
-            return f"It is surely {more} than {rest} ({how})."
+            return f"It is significantly {more} than {rest} ({how})."
         beaten = len(others) - len(close)
-        return f"It is surely {more} than {beaten} of {rest} ({how}); no significant difference from {alike}."
+        return f"It is significantly {more} than {beaten} of {rest} ({how}); no significant difference from {alike}."
 
 
 def by_cell(
     options: Sequence[Weighed], shape: tuple[int, int], gain_of: Callable[[Weighed], Gain | None]
 ) -> NDArray[np.float64]:
-    """What the threat that a cell is in costs, the most where several overlap, `[H, W]`."""
+    """The gain of the threat in each cell, the largest where several overlap, `[H, W]`."""
     gains = np.zeros(shape)
     for one in options:
         gain = gain_of(one)
@@ -184,14 +184,14 @@ def by_cell(
     return gains
 
 
-# What a search for threats to clear holds: each threat, what it costs, the picks and how sure they are.
+# Results of the search for threats to remove.
 
 Remove = Literal["areas", "sources"]
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Weighing(Searched):
-    """What the answers to both searches for threats hold; `starts`: of the team, int64 `[K, 2]`."""
+    """Common fields of the results of both searches for threats; `starts`: of the team, int64 `[K, 2]`."""
 
     listed = "threats"
 
@@ -199,18 +199,18 @@ class Weighing(Searched):
 
     @property
     def unit(self) -> str:
-        """Of what a threat costs."""
+        """Unit of gains and costs, for reports."""
         return "cells" if self.world.value is None else "of value"
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Clearing(Weighing):
-    """The answer to what to clear first.
+    """The result of `clear`.
 
     Attributes:
-        remove: what threats are: "areas", or the "sources" of the scenario.
-        turns: one for each threat that is cleared.
-        gain: of clearing all picks, on rollouts that had no part in the choice, ids from `choices.rollouts` on.
+        remove: kind of threats: connected "areas", or the "sources" of the scenario.
+        turns: one for each removed threat.
+        gain: of removing all selected threats, on fresh rollouts, ids from `choices.rollouts` on.
     """
 
     reported_by = "analysis.search.place_reports:clear_report"
@@ -221,12 +221,12 @@ class Clearing(Weighing):
 
     @property
     def picks(self) -> tuple[Threat, ...]:
-        """What to clear, in this order."""
+        """The threats to remove, in order."""
         return tuple(turn.picked.threat for turn in self.turns)
 
     @property
     def cleared_world(self) -> World:
-        """The map without them."""
+        """The map without the selected threats."""
         world = self.world
         for threat in self.picks:
             world = threat.cleared(world)
@@ -234,42 +234,40 @@ class Clearing(Weighing):
 
     @property
     def options(self) -> tuple[Weighed, ...]:
-        """All threats, as the first to be cleared."""
+        """All threats, as the first to be removed."""
         return self.turns[0].options
 
     @cached_property
     def plan(self) -> Plan:
-        """Of the map as it is."""
+        """The plan for the present map."""
         return make_plan(self.world, self.starts, self.settings)
 
     @cached_property
     def risk_paid(self) -> NDArray[np.float64]:
-        """Cells lost on average for each percent of threat more in a cell, on the plan's paths, float64 `[H, W]`."""
+        """Cells lost on average for each percent of threat added to a cell, on the plan's paths, float64 `[H, W]`."""
         return -coverage_gradient(self.plan, self.world) / 100.0
 
 
-# The search that `clear` and `attack` share: which of many threats costs a team most, in two directions.
+# The search of `clear` and `attack`: for each of many threats, the change in coverage with and without it.
 #
-# `clear` asks what each threat costs that is there, `attack` what each would cost that is not. Two questions in both,
-# with answers that have little to do with each other. Robots that *know* plan anew: their way may lead through where
-# the
-# threat was, or round where it is, so what counts is what lies behind. Robots that do *not know* do as before: what
-# counts is how many of them it stops.
+# Both commands compute two quantities that are nearly unrelated. If the team knows and *replans*, paths lead through a
+# removed threat or around a placed one; the gain depends on the cells behind it. If the team *keeps its plan*, the gain
+# depends on the number of robots that are lost in it.
 
 FEWEST = 8
-"""Threats that are planned for anew at least, however long their maps' tables take."""
+"""Least number of threats simulated with replanning, whatever the size of their maps' distance tables."""
 SOLVED = 64
-"""Threats up to which the screening bound is the flow programme's, a fifth of a second each on 300 cells."""
+"""Number of threats up to which the screening bound is the flow programme's: 0.2 s each on 300 cells."""
 ALL_UNKNOWN = 2**18
-"""Rollouts for robots that do not know, of all threats together."""
+"""Rollouts of all threats together if the team keeps its plan."""
 TABLES = 2**28
-"""Pairs of cells of all-pairs tables that are made and kept: every map has its own."""
+"""Pairs of cells in the stored distance tables: every map has its own table."""
 
 
 class Search:
-    """What all turns share: the team, its settings, what is rolled out, and whether all so far is `exact`.
+    """State that all selections share: team, settings, rollout choices, and whether all results so far are `exact`.
 
-    `room`: threats that are planned for anew.
+    `most`: number of threats that are simulated with replanning.
     """
 
     def __init__(
@@ -284,32 +282,33 @@ class Search:
         most: int,
         placing: bool = False,
     ) -> None:
-        """`most`: threats that are planned for anew, if their maps' tables find room. `placing`: they are not there."""
+        """`most`: its upper limit; memory for distance tables may lower it. `placing`: see `other`."""
         self.starts, self.settings, self.choices, self.placing = starts, settings, choices, placing
         self.progress, self.doing, self.robots = progress, doing, len(starts)
         self.cells, self.valued = int(world.accessible(starts).sum()), world.value is not None
         self.total = Worth.of(world).total if self.valued else float(self.cells)
         self.exact = True
-        self.room = min(most, max(FEWEST, TABLES // self.cells**2))
+        # Every map has its own distance table of cells**2 entries.
+        self.most = min(most, max(FEWEST, TABLES // self.cells**2))
 
     def asked(self, world: World) -> dict[str, Any]:
-        """What an answer says of it (`answer.Weighing`)."""
+        """The common fields of the result (`Weighing`)."""
         engine = "" if self.exact else choose_engine(self.choices.engine).name
         return {"world": world, "starts": self.starts, "settings": self.settings, "choices": self.choices,
                 "cells": self.cells, "engine": engine}  # fmt: skip
 
     def anew(self, world: World) -> Trial:
-        """The team's plan on a map, before its nominal run."""
+        """A trial of a new plan for a map, before its nominal run."""
         return Trial(world, allocated_plan(world, self.starts, self.settings), self.choices)
 
     def other(self, world: World, threat: Threat) -> World:
-        """The map without a threat that is there, or with one that is not."""
+        """The map without a present threat, or with a threat to be placed."""
         return threat.placed(world) if self.placing else threat.cleared(world)
 
     def turn(self, world: World, threats: Sequence[Threat], screening: bool = True) -> Turn:
-        """What each of `threats` costs on `world`, and the one that costs robots most that know.
+        """The cost of each of `threats` on `world`, and the one that costs most if the team replans.
 
-        `screening`: they are screened even where all find room.
+        `screening`: compute the screening bound even if all threats are simulated.
         """
         as_is = self.anew(world)
         known = as_is.known()
@@ -319,6 +318,7 @@ class Search:
         self.doing("replanned")
         contenders = [partial(self.anew, self.other(world, threats[place])) for place in order]
         race = self.race(contenders, exact=known is not None)
+        # Exact and sampled figures must not be paired: the difference would not be on common random numbers.
         base: Measured = as_is.sample(0, self.choices.rollouts) if known is None or not race.exact else known
         self.exact &= base.exact and not any(gain.rollouts for gain in gains)
         hits = as_is.stops(base)
@@ -335,36 +335,38 @@ class Search:
     def screened(
         self, world: World, threats: Sequence[Threat], always: bool
     ) -> tuple[list[int], Sequence[float | None]]:
-        """Places of the threats that find room, those first that cost the bound most; what they cost it, if asked."""
-        if not always and len(threats) <= self.room:
+        """Indices of the threats to simulate, by decreasing cost to the upper bound; and these costs, if computed."""
+        if not always and len(threats) <= self.most:
             return list(range(len(threats))), [None] * len(threats)
         self.doing("screening")
         screens = self._screens(world, threats)
-        return np.argsort(-np.array(screens), kind="stable")[: self.room].tolist(), screens
+        return np.argsort(-np.array(screens), kind="stable")[: self.most].tolist(), screens
 
     def race(
         self, contenders: Sequence[Callable[[], Trial]], *, exact: bool = True, kept: Sequence[Collection[int]] = ()
     ) -> Halving:
-        """The contenders on common luck, run; the best of them is the one whose threat costs most."""
-        race = Halving(contenders, self.choices.rollouts, room=self.room, kept=kept, exact=exact, least=self.placing)
+        """Simulated comparison of the contenders on common random numbers; the best costs most as a threat."""
+        race = Halving(contenders, self.choices.rollouts, room=self.most, kept=kept, exact=exact, least=self.placing)
         race.run(self.progress)
         self.exact &= race.exact
         return race
 
     def gain(self, base: Measured, other: Measured) -> Gain:
-        """What is won without it on average, in cells, robots, and value where there is any."""
+        """Mean gain of removing the threat: cells, robots, and value if the map has values."""
+        # Both directions report the gain of the map without the threat.
         there, gone = (other, base) if self.placing else (base, other)
         worth = gone.ahead(there, "value", self.total) if self.valued else None
         rollouts = min(base.rollouts, other.rollouts)
         return Gain(gone.ahead(there, "visited"), there.ahead(gone, "lost"), rollouts, worth)
 
     def _unknown(self, as_is: Trial, truth: World, threats: int) -> Gain:
-        """For robots that decide as before."""
+        """Gain if the team keeps its plan."""
+        # The rollouts of all threats together are limited, as each threat needs its own true map.
         count = min(self.choices.rollouts, max(ALL_UNKNOWN // threats, 2))
         return self.gain(*alike([as_is, as_is.under(truth)], 0, count, 1 / threats))
 
     def _screens(self, world: World, threats: Sequence[Threat]) -> list[float]:
-        """What each threat costs the bound for every strategy, in cells, or in value."""
+        """Cost of each threat to the policy-independent upper bound, in cells or in value."""
         flow = self.cells <= MOST_CELLS and len(threats) <= SOLVED
         bound, sign = self._value_bound if self.valued else self._bound, -1.0 if self.placing else 1.0
         before = bound(world, flow)
@@ -374,13 +376,13 @@ class Search:
         return any_strategy(world, self.starts, flow, ways=False).cells
 
     def _value_bound(self, world: World, flow: bool) -> float:
-        """The programme with values, or the value by the chance to reach each cell."""
+        """The flow programme with values, or the value weighted by the probability to reach each cell."""
         if flow:
             return value_bound(world, self.starts, ways=False)
         return float(Worth.of(world).value @ reach_chances(world, self.starts))
 
     def confirm(self, trials: Sequence[Trial]) -> list[Gain]:
-        """What the others cost against the first, on rollouts that had no part in the choice."""
+        """Gains of the other trials against the first, on fresh rollouts."""
         count = self.choices.rollouts
         base, *others = alike(trials, count, count)
         self.exact &= base.exact
@@ -388,16 +390,15 @@ class Search:
 
 
 SIMULATED = 64
-"""Threats that are planned for anew, at most."""
+"""Largest number of threats simulated with replanning."""
 
 
 def threats_of(
     world: World, starts: NDArray[np.int64], levels: int, remove: Remove | None = None
 ) -> tuple[Remove, list[Threat], tuple[str, ...]]:
-    """What kind of threat, those that robots at `starts` `[K, 2]` can reach, and notes.
+    """The kind of threats, those in reach of robots at `starts` `[K, 2]`, and notes.
 
-    `remove`: the areas, or the sources of the scenario; None: the sources where there are several. Raises UsageError
-    where there is none.
+    `remove`: areas, or sources of the scenario; None: sources if there are several. Raises UsageError if there is none.
     """
     if remove is not None:
         check_word("unit", remove, ("areas", "sources"))
@@ -414,18 +415,18 @@ def threats_of(
 
 
 def _apart(world: World, remove: Remove, things: Sequence[Threat]) -> tuple[str, ...]:
-    """What is left as it is."""
+    """Notes on threats out of reach."""
     if remove == "areas" or world.sources is None:
         return ()
     beyond = len(world.sources.things) - len(things)
-    return (f"{counted(beyond, 'threat')} of the scenario threaten no cell that a robot can reach",) if beyond else ()
+    return (f"{counted(beyond, 'threat')} of the scenario lie out of reach of the robots",) if beyond else ()
 
 
 def _things_of(world: World, starts: NDArray[np.int64]) -> list[Threat]:
-    """The polygons, points and sites of a scenario that threaten a cell of theirs, as the scenario orders them."""
+    """The polygons, points and sites of a scenario that threaten an accessible cell, in the scenario's order."""
     sources = world.sources
     if sources is None or not np.array_equal(sources.threat(), world.threat, equal_nan=True):
-        return []  # a world that was changed since it was loaded
+        return []  # the threats were changed after loading, so `sources` is out of date
     reached, threats = world.accessible(starts).reshape(-1), []
     for number, name in enumerate(sources.names):
         p = np.where(reached, sources.alone(number), 0.0)
@@ -435,7 +436,7 @@ def _things_of(world: World, starts: NDArray[np.int64]) -> list[Threat]:
 
 
 def _areas_of(world: World, starts: NDArray[np.int64], levels: int) -> list[Threat]:
-    """The connected dangerous areas that robots at `starts` `[K, 2]` can reach: level by level, then by lowest cell."""
+    """The connected areas of equal threat that robots at `starts` `[K, 2]` can reach: by level, then by lowest cell."""
     found = find_levels(world, world.accessible(starts), levels)
     areas = [(level, cells) for level, cells in find_areas(world.shape, found) if level > 0]
     return [Threat(f"area {number}", cells, float(found.values[level])) for number, (level, cells) in enumerate(areas)]
@@ -452,14 +453,20 @@ def find_clearing(
     progress: ProgressCallback | None = None,
     doing: Doing | None = None,
 ) -> Clearing:
-    """The threat whose removal gains robots that know of it most cells; `count` of them, one after the other.
+    """The threat whose removal gains most if the team replans; `count` of them, greedily.
 
-    `choices`: rollouts of the last two threats that are left, the same ids for all. An interruption (KeyboardInterrupt)
-    leaves the picks so far, `partial`; before the first, it is raised again. `remove`: as of `threats_of`. Raises
-    InputError.
+    Args:
+        choices: rollouts of the two finalists, the same ids for all threats. remove: see `threats_of`.
+
+    Returns:
+        The result. After an interruption (KeyboardInterrupt): the selections so far, `partial`.
+
+    Raises:
+        InputError: no threat, or an argument out of range.
+        KeyboardInterrupt: before the first selection.
     """
     choices = choices.timed(world.pace)
-    check_search(world, settings, choices, "a search for what to clear")
+    check_search(world, settings, choices, "a search for threats to remove")
     chosen, threats, notes = threats_of(world, starts, settings.levels, remove)
     whole(1, len(threats), "a whole number of threats").check("remove", count)
     search = Search(world, starts, settings, choices, progress, doing or quiet, most=SIMULATED)
@@ -467,6 +474,7 @@ def find_clearing(
     left, now, gain, stopped = threats, world, None, False
     try:
         for _ in range(count):
+            # Greedy: each removal is evaluated on the map without the earlier ones.
             turns.append(search.turn(now, left))
             now = turns[-1].picked.threat.cleared(now)
             left = [threat for threat in left if threat is not turns[-1].picked.threat]
@@ -481,26 +489,24 @@ def find_clearing(
         turns=tuple(turns),
         gain=gain,
         partial=stopped,
-        notes=notes + _notes(len(threats), search.room) + screened(settings),
+        notes=notes + _notes(len(threats), search.most) + screened(settings),
     )
 
 
 def _notes(threats: int, simulated: int) -> tuple[str, ...]:
     if threats <= simulated:
         return ()
-    return (f"of {counted(threats, 'threat')}, those {simulated} by which the bound rises most were planned for anew",)
+    return (f"of {counted(threats, 'threat')}, the {simulated} with most effect on the upper bound were replanned",)
 
 
-# Where threats cost a team most: one after the other on common luck, then each moved while that costs more.
-
-# What a search for the worst places of threats holds: those for robots that know, those for robots that do not.
+# Placement of threats: greedy, then each is moved while that costs more. Once for informed, once for uninformed robots.
 
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Threats that were placed, and what they cost on rollouts that had no part in the choice; None: interrupted.
+    """Placed threats, and their cost on fresh rollouts; None: interrupted.
 
-    `known`: robots that know of them and plan anew. `hidden`: robots that do as on the map without them.
+    `known`: the team knows the threats and replans. `hidden`: the team keeps the plan for the map without them.
     """
 
     threats: tuple[Threat, ...]
@@ -510,11 +516,11 @@ class Placed:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Attack(Weighing):
-    """The answer.
+    """The result of `attack`.
 
     Attributes:
-        p: the chance that a visit of a threat stops. turn: what one threat costs in each cell.
-        known, hidden: the worst found for robots that know of them, and for robots that do not.
+        p: probability that a visit of a placed threat destroys a robot. turn: cost of one threat in each cell.
+        known, hidden: the worst placement found if the team knows the threats, and if it does not.
     """
 
     reported_by = "analysis.search.place_reports:attack_report"
@@ -526,7 +532,7 @@ class Attack(Weighing):
 
     @property
     def known_world(self) -> World:
-        """The map with the threats that robots know of; each is one of its `sources`."""
+        """The map with the placement for informed robots; each threat is one of its `sources`."""
         return with_all(self.world, self.known.threats)
 
     @property
@@ -536,25 +542,25 @@ class Attack(Weighing):
 
 
 def with_all(world: World, threats: Sequence[Threat]) -> World:
-    """The map with all of them placed."""
+    """The map with all threats placed."""
     for threat in threats:
         world = threat.placed(world)
     return world
 
 
 MOST_PLACES = 512
-"""Cells that are looked at: of larger maps those where a little more danger costs the plan's own paths most."""
+"""Largest number of searched cells; on larger maps those where added threat costs the plan's paths most."""
 ROUNDS = 2
-"""Times that every threat is taken up again at most; a move makes it worse for the team or is none."""
+"""Largest number of rounds in which every threat may move; a threat moves only if that costs more."""
 CHANCE = Numbers(1e-6, 1 - 2**-25, below=True, said="a chance, 1e-6 or more and below 1")
 
 
 @dataclass
 class _Adversary:
-    """Who places threats against robots of one kind.
+    """Greedy placement of threats against one kind of robot.
 
     Attributes:
-        make: what robots do on a map. screens: whether cells are screened by the bound where not all find room.
+        make: the team's trial on a map. screens: whether cells are screened by the bound if not all are simulated.
         picks: the threats placed so far.
     """
 
@@ -566,24 +572,26 @@ class _Adversary:
     picks: list[Threat] = field(default_factory=list)
 
     def place(self, count: int) -> None:
-        """`count` threats, greedily; then each is taken up again and put down where it costs most."""
+        """Place `count` threats greedily; then remove each in turn and place it again where it costs most."""
         while len(self.picks) < count:
             self.picks.append(self._worst(self.picks, None))
         for _ in range(ROUNDS if count > 1 else 0):
             before = list(self.picks)
             for number, pick in enumerate(before):
                 self.picks[number] = self._worst(self.picks[:number] + self.picks[number + 1 :], pick)
+            # A round without a move is a local optimum.
             if all(one is other for one, other in zip(before, self.picks, strict=True)):
                 break
 
     def _worst(self, others: Sequence[Threat], now: Threat | None) -> Threat:
-        """The worst place beside others; `now`, where it stands, unless another one is worse on the same luck."""
+        """The worst place in addition to `others`; ties keep `now`, the present one."""
         world = with_all(self.world, others)
         left = [place for place in self.places if place not in others]
         order = list(range(len(left)))
         if self.screens:
             order = self.search.screened(world, left, always=False)[0]
         held = [] if now is None else [left.index(now)]
+        # The present place is always compared, also if the bound screens it out.
         order += [place for place in held if place not in order]
         self.search.doing("replanned" if self.screens else "with the old plan")
         race = self.search.race(
@@ -624,10 +632,17 @@ def find_attack(
     progress: ProgressCallback | None = None,
     doing: Doing | None = None,
 ) -> Attack:
-    """The cells in which `count` threats of chance `p` cost robots most that know of them, and that do not.
+    """The cells in which `count` threats of probability `p` cost most, for informed and for uninformed robots.
 
-    `choices`: rollouts of the last two places that are left, the same ids for all. An interruption (KeyboardInterrupt)
-    leaves the threats so far, `partial`; before the first, it is raised again. Raises InputError.
+    Args:
+        choices: rollouts of the two finalists, the same ids for all places.
+
+    Returns:
+        The result. After an interruption (KeyboardInterrupt): the threats so far, `partial`.
+
+    Raises:
+        InputError: no cell for a threat, or an argument out of range.
+        KeyboardInterrupt: before the first threat was placed.
     """
     choices = choices.timed(world.pace)
     check_search(world, settings, choices, "a search for the worst places of threats")
@@ -637,6 +652,7 @@ def find_attack(
     places, notes = places_of(world, starts, settings, float(p))
     whole(1, len(places), "a whole number of threats").check("add", count)
     turn = search.turn(world, places, screening=False)
+    # The search over single threats already gives the first one.
     known = _Adversary(search, world, places, search.anew, True, [turn.picked.threat])
     hidden = _Adversary(search, world, places, as_is.under, False)
     ends, stopped = (Placed(()), Placed(())), False
@@ -653,26 +669,28 @@ def find_attack(
         known=ends[0],
         hidden=ends[1],
         partial=stopped,
-        notes=notes + (screened(settings) if len(places) > search.room else ()),
+        notes=notes + (screened(settings) if len(places) > search.most else ()),
     )
 
 
 def places_of(
     world: World, starts: NDArray[np.int64], settings: Settings, p: float
 ) -> tuple[list[Threat], tuple[str, ...]]:
-    """A threat for every cell that robots at `starts` `[K, 2]` can reach and none starts in; notes.
+    """A threat for every cell that robots at `starts` `[K, 2]` can reach and in which none starts; notes.
 
-    Raises UsageError where there is none.
+    Raises UsageError if there is none.
     """
     free = world.accessible(starts)
+    # A threat in a start cell could not be avoided by any plan.
     free[tuple(starts.T)] = False
     cells = np.flatnonzero(free)
     if not len(cells):
-        raise UsageError(f"{world.source}: no cell that a robot can reach is left to threaten", expected="a larger map")
+        raise UsageError(f"{world.source}: no accessible cell is left for a threat", expected="a larger map")
     notes: tuple[str, ...] = ()
     if len(cells) > MOST_PLACES:
+        # The gradient is exact for the open loop and needs one pass, so it screens all cells.
         costs = -coverage_gradient(make_plan(world, starts, settings), world).reshape(-1)[cells]
-        notes = (f"of {len(cells):,} cells, those {MOST_PLACES} where more danger costs the plan's paths most",)
+        notes = (f"of {len(cells):,} cells, the {MOST_PLACES} where added threat costs the plan's paths most",)
         cells = np.sort(cells[np.argsort(-costs, kind="stable")[:MOST_PLACES]])
     places = zip(*np.divmod(cells, world.shape[1]), cells, strict=True)
     return [Threat(f"cell [{row}, {col}]", np.array([cell]), p) for row, col, cell in places], notes
@@ -681,7 +699,7 @@ def places_of(
 def _confirmed(
     search: Search, as_is: Trial, known: Sequence[Threat], hidden: Sequence[Threat]
 ) -> tuple[Placed, Placed]:
-    """Both placements, with what each costs robots of both kinds."""
+    """Both placements, with their cost to both kinds of robots."""
     worlds = [with_all(as_is.world, threats) for threats in (known, hidden)]
     one, other, met, unseen = search.confirm([as_is, *map(search.anew, worlds), *map(as_is.under, worlds)])
     return Placed(tuple(known), one, met), Placed(tuple(hidden), other, unseen)

@@ -1,1 +1,1 @@
-"""What does painting on the map change? A local page that answers every stroke (`mrac-jax studio`)."""
+"""The studio: a local page to paint on a map, with a new result after every stroke (`mrac-jax studio`)."""

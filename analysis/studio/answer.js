@@ -1,10 +1,10 @@
-// Talks to the server that sent the page: whoever has no token, as other pages, is told nothing.
+// Requests to the server of the page. They carry the token, which other pages do not have.
 const KEPT = "mrac-jax studio";
 if (location.hash.length > 1) {
-  sessionStorage.setItem(KEPT, location.hash.slice(1)); // for a reload; and out of the address line
+  sessionStorage.setItem(KEPT, location.hash.slice(1)); // kept for a reload, removed from the address line
   history.replaceState(null, "", location.pathname);
 }
-addEventListener("hashchange", () => location.reload()); // another token
+addEventListener("hashchange", () => location.reload()); // the address has a new token
 const token = sessionStorage.getItem(KEPT) || "";
 async function call(path, body, signal) {
   const headers = { Authorization: "Bearer " + token };
@@ -12,10 +12,10 @@ async function call(path, body, signal) {
   const response = await fetch(path, { method: body ? "POST" : "GET", headers, body: body && JSON.stringify(body), signal });
   if (response.ok) return response;
   const said = await response.json().catch(() => ({}));
-  throw Error(response.status === 401 ? "this address has no token: open the one that the terminal shows" : said.error || response.statusText);
+  throw Error(response.status === 401 ? "this address has no token: open the address that the terminal shows" : said.error || response.statusText);
 }
 
-// Every line of the answer to a board, as it comes.
+// The lines of the result of a board, as they arrive.
 async function* answersTo(body, signal) {
   const response = await call("/answer", body, signal), reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
   let rest = "";

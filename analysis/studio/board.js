@@ -1,13 +1,13 @@
-// The board: cells (chance, NaN = obstacle), which of them robots do not know, starts (null: placed by the rule),
-// strokes that can be taken back.
-const MOST_KEPT = 2e7; // cells in all that are kept to go back to
+// The board: cells (probability, NaN = obstacle), cells unknown to robots, starts (null: placed by the rule), and the
+// history for undo.
+const MOST_KEPT = 2e7; // limit of cells in the history
 function makeBoard(rows, cols, cells, starts, robots, unknown = new Uint8Array(cells.length)) {
   const past = [], future = [], most = Math.max(10, Math.min(200, Math.floor(MOST_KEPT / (rows * cols))));
   let now = { cells, unknown, starts, robots };
   const inside = (row, col) => row >= 0 && row < rows && col >= 0 && col < cols;
   const isAt = (row, col) => ([r, c]) => r === row && c === col;
 
-  // What the square brush does to a place; true if anything is other than before.
+  // Apply the square brush to a cell; true if anything changed.
   function dab(brush, chance, size, row, col) {
     const reach = (size - 1) / 2;
     let changed = false;
@@ -39,16 +39,16 @@ function makeBoard(rows, cols, cells, starts, robots, unknown = new Uint8Array(c
     get unknown() { return now.unknown; },
     get starts() { return now.starts; },
     get robots() { return now.robots; },
-    // Before a change: where undo comes back to.
+    // Save the state before a change, for undo.
     keep() {
       past.push(now);
       if (past.length > most) past.shift();
       future.length = 0;
       now = { cells: now.cells.slice(), unknown: now.unknown.slice(), starts: now.starts && now.starts.slice(), robots: now.robots };
     },
-    // The last `keep` was for nothing.
+    // Undo the last `keep`: nothing changed.
     drop() { now = past.pop(); },
-    // Paint the cells from one to another, both among them.
+    // Paint the cells on the line between two cells, inclusive.
     paint(brush, chance, size, from, to) {
       const steps = Math.max(Math.abs(to[0] - from[0]), Math.abs(to[1] - from[1]));
       let changed = false;
@@ -59,7 +59,7 @@ function makeBoard(rows, cols, cells, starts, robots, unknown = new Uint8Array(c
       }
       return changed;
     },
-    // A robot more at a free cell, or the one there gone; `placed`: where they are now.
+    // Add a robot at a free cell, or remove the one there; `placed`: the present starts.
     toggleStart(row, col, placed, mostRobots) {
       const starts = (now.starts || placed).slice(), old = starts.findIndex(isAt(row, col));
       if (old >= 0) starts.splice(old, 1);
@@ -70,9 +70,9 @@ function makeBoard(rows, cols, cells, starts, robots, unknown = new Uint8Array(c
       now.robots = starts.length;
       return true;
     },
-    // All as it is given.
+    // Replace the whole state.
     set(cells, unknown, starts, robots) { now = { cells: cells.slice(), unknown: unknown.slice(), starts, robots }; },
-    // So many robots, placed by the rule.
+    // A number of robots, placed by the rule.
     place(robots) { now.starts = null; now.robots = robots; },
     back() { if (past.length) { future.push(now); now = past.pop(); } },
     forth() { if (future.length) { past.push(now); now = future.pop(); } },

@@ -1,4 +1,4 @@
-// The picture of the board: a layer's colours on a canvas of a pixel a cell, rings at the starts, a scale below.
+// The picture of the board: a canvas with one pixel for each cell, rings at the starts, and the colour scale below.
 function makePicture(box, bar, palettes) {
   const canvas = box.querySelector(".cells"), context = canvas.getContext("2d"), shades = new Map();
   const rgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16));
@@ -6,11 +6,11 @@ function makePicture(box, bar, palettes) {
   for (const layer of palettes.layers) shades.set(layer.name, layer.colours.map(rgb));
   let marks = [];
 
-  // Part 0 .. 1 of the scale at a value, and back.
+  // Position 0 .. 1 on the scale of a value, and the inverse.
   const place = (layer, part) => (layer.root ? Math.sqrt(part) : part);
   const value = (layer, at) => (layer.root ? at * at : at);
 
-  // The end of the threats' scale, float32 as cells are: one of a few, so that a stroke seldom changes all colours.
+  // Upper end of the threat scale, float32 like cells: one of a few values, so that a stroke seldom changes all colours.
   function topOf(cells) {
     const largest = cells.reduce((most, p) => (p > most ? p : most), 0);
     return [0.05, 0.1, 0.25, 0.5, 1].map(Math.fround).find((top) => largest <= top);
@@ -25,7 +25,7 @@ function makePicture(box, bar, palettes) {
     }));
   }
 
-  // Cells in the colours of a layer; `packed`: its values by the last answer, none for threats.
+  // Draw the cells in a layer's colours; `packed`: its values in the last result, none for threats.
   function draw(board, layer, packed, steps) {
     const { rows, cols, cells } = board, top = packed ? steps : topOf(cells), colours = shades.get(layer.name), last = colours.length - 1;
     if (canvas.width !== cols || canvas.height !== rows) {
@@ -42,7 +42,7 @@ function makePicture(box, bar, palettes) {
         const part = (packed ? packed.values[i] : cells[i]) / top;
         colour = part > 1 ? unreachable : colours[Math.min(last, Math.floor(place(layer, part) * colours.length))];
       }
-      const clear = board.unknown[i] ? 0.45 : 1; // behind fog
+      const clear = board.unknown[i] ? 0.45 : 1; // unknown cells are blended with fog
       for (let part = 0; part < 3; part++) bytes[4 * i + part] = clear * colour[part] + (1 - clear) * fog[part];
       bytes[4 * i + 3] = 255;
     }
@@ -50,7 +50,7 @@ function makePicture(box, bar, palettes) {
     scale(layer, packed ? packed.largest : top);
   }
 
-  // A ring at each start; many would hide the map.
+  // A ring at each start, if they are few: many would hide the map.
   function rings(starts, rows, cols) {
     for (const mark of marks) mark.remove();
     const places = new Map(starts.map(([row, col]) => [row + "," + col, [row, col]]));
@@ -63,7 +63,7 @@ function makePicture(box, bar, palettes) {
     box.append(...marks);
   }
 
-  // The planned paths, a line a robot; null: too long to draw.
+  // The planned paths, one line for each robot; null: too long to draw.
   const drawn = box.querySelector(".paths");
   const given = (element, values) => { for (const name in values) element.setAttribute(name, values[name]); return element; };
   function paths(lines, thickness, rows, cols) {

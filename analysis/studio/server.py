@@ -1,4 +1,4 @@
-"""The studio: controls around an empty map, and the server that fills it, on the loopback alone, behind a token."""
+"""The studio: a page to paint maps on, and its server, which listens on the loopback address and requires a token."""
 
 from __future__ import annotations
 
@@ -58,15 +58,15 @@ from planner.world.map_knowledge import RANGE, Sense
 from planner.world.scenario import said
 from planner.world.world import MAX_ROBOTS, World
 
-# The studio's page: controls around an empty map, which its script fills with what the server tells it.
+# The page: controls around an empty map, which its script fills with the server's data.
 
 PACKAGE = "analysis.studio"
 SHARED = ("values.js", "choices.js", "cell_maps.js")
-"""Of a report's script."""
+"""Scripts that reports use too."""
 SCRIPTS = ("board.js", "picture.js", "answer.js", "studio.js")
 PAINTED = LinearSegmentedColormap.from_list("painted", [SAFE, *(to_hex(THREAT(x / 4)) for x in range(5))])
 LAYERS = (("Threat", PAINTED, True), ("Coverage", COVERED, False), ("Losses", LOSSES, True))
-"""Name, colours from the least to the largest, and whether small values are spread by a square root."""
+"""Name, colour map, and whether small values are spread by a square root."""
 
 
 @cache
@@ -75,7 +75,7 @@ def _script() -> Html:
 
 
 def security_headers() -> dict[str, str]:
-    """Of every answer: the browser itself keeps this page apart from all others."""
+    """Headers of every response: the browser isolates this page from all others."""
     return {
         "Content-Security-Policy": f"{policy(_script(), chr(39) + 'self' + chr(39))}; frame-ancestors 'none'",
         "X-Content-Type-Options": "nosniff",
@@ -88,7 +88,7 @@ def security_headers() -> dict[str, str]:
 
 
 def palettes() -> Json:
-    """The layers' colours and those of cells that have none."""
+    """Colours of the layers, and of cells without a value."""
     places = np.linspace(0, 1, SHADES)
     layers = [{"name": n, "colours": [to_hex(c) for c in colours(places)], "root": root} for n, colours, root in LAYERS]
     return {"layers": layers, "obstacle": OBSTACLE, "unreachable": UNREACHABLE, "unknown": FOG}
@@ -96,7 +96,7 @@ def palettes() -> Json:
 
 @cache
 def studio_page() -> str:
-    """The page as HTML; nothing of a map is in it."""
+    """The page as HTML, without any data of a map."""
     styles = "\n".join((asset("page.css"), asset("studio.css", PACKAGE)))
     return TEMPLATES.from_string(asset("studio.html", PACKAGE)).render(
         head=page_head("mrac-jax studio", styles, policy(_script(), "'self'")),
@@ -106,25 +106,25 @@ def studio_page() -> str:
     )
 
 
-# What is on the page's board: cells, robots and settings, read strictly, and saved as a scenario.
+# The sketch on the page: cells, robots and settings. It is read with full checks, and saved as a scenario.
 
 PAGE = Path("the page")
-"""What errors about a request name as their source."""
+"""Source in errors about a request."""
 LIMITS, KNOWN = ("risk_cap", "robot_value"), ("unknown", "believed", "sensor_range")
 
 
 USUAL = Sense(2.0)
-"""What robots see where nobody has said it yet."""
+"""Default sensor."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sketch:
-    """A board.
+    """A map, a team and settings, as painted on the page.
 
     Attributes:
-        world: its cells; its `starts` are set where they were painted. robots: how many, else placed by the rule.
-        settings: to plan with. deadline: a step at which coverage is reported too, or None.
-        believed: the chance that robots believe where they do not know what is there; sense: what they see.
+        world: the map; its `starts` are the painted ones. robots: team size, for starts by rule.
+        settings: for planning. deadline: a step at which coverage is also reported, or None.
+        believed: threat of unknown cells on the prior map, a probability. sense: the robots' sensor.
     """
 
     world: World
@@ -136,7 +136,7 @@ class Sketch:
 
     @classmethod
     def of(cls, world: World, robots: int, settings: Settings) -> Sketch:
-        """The board of an input. Raises WorldError where it cannot be painted on."""
+        """The sketch of an input. Raises WorldError for an input that cannot be painted on."""
         known, sketch = world.knowledge, cls(world, robots, settings)
         if world.doubt is not None or world.types is not None:
             world.check_settled("painting")
@@ -144,25 +144,25 @@ class Sketch:
             return sketch
         believed = np.unique(world.threat[sketch.unknown])
         if len(believed) > 1 or np.isnan(believed).any():
-            problem = "robots believe several things of what they do not know"
-            raise WorldError(problem, source=world.source, expected="one chance everywhere, to paint on")
+            problem = "the prior map has several values in unknown cells"
+            raise WorldError(problem, source=world.source, expected="one prior threat for all unknown cells")
         chance = float(believed[0]) if len(believed) else cls.believed
         return replace(sketch, believed=chance, sense=known.sense)
 
     @property
     def unknown(self) -> NDArray[np.bool_]:
-        """bool `[H, W]`: cells that are not as robots believe."""
-        told, true = self.world.threat, self.world.met
-        return (told != true) & ~(np.isnan(told) & np.isnan(true))
+        """bool `[H, W]`: cells in which the prior map differs from the true map."""
+        prior, true = self.world.threat, self.world.met
+        return (prior != true) & ~(np.isnan(prior) & np.isnan(true))
 
     def starts(self) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-        """Starts int64 `[K, 2]`, painted ones or placed by the rule, and notes."""
+        """Starts int64 `[K, 2]`, painted or placed by the rule, and notes."""
         if self.world.starts is not None:
             return self.world.starts, ()
         return place_starts(self.world, self.robots)
 
     def to_json(self) -> Json:
-        """As `read_sketch` takes it."""
+        """The sketch in the format of `read_sketch`."""
         starts = None if self.world.starts is None else self.world.starts.tolist()
         cells, unknown = (
             base64.b64encode(of.tobytes()).decode() for of in (self.world.met.astype("<f4"), self.unknown)
@@ -173,7 +173,7 @@ class Sketch:
         return {"cells": cells, "starts": starts, "robots": self.robots, "deadline": self.deadline} | said | knows
 
     def save(self, out: Path) -> tuple[Path, Path]:
-        """Write the scenario `out` and the world file beside it that holds its cells; returns both."""
+        """Write the scenario `out` and the world file with its cells in the same folder; return both paths."""
         raster = raster_of(out)
         starts = self.world.starts
         team: Json = {"count": self.robots} if starts is None else {"starts": starts.tolist()}
@@ -186,23 +186,22 @@ class Sketch:
 
 
 def raster_of(out: Path) -> Path:
-    """The world file that goes with a saved scenario."""
+    """Path of the world file of a saved scenario."""
     return out.with_suffix(".npz")
 
 
 def read_sketch(body: bytes, first: Sketch) -> tuple[Sketch, Mapping[str, Key]]:
-    """The board that a request's JSON holds, on the ground of the `first` one, and all keys of the request.
+    """The sketch of a request's JSON, for the map of the `first` one, and all keys of the request.
 
-    `cells`: base64 of little-endian float32 `[H, W]`, NaN = obstacle. `starts`: `[[row, col], ...]`, or null for so
-    many `robots` placed by the rule. `policy`, `risk_cap`, `robot_value`, `deadline` as the options of `evaluate`,
-    null: none.
-    `unknown`: base64 of a byte a cell, 1: robots do not know it, believe it free with the chance `believed`, and see
-    `sensor_range` cells far, null: everything. Raises InputError.
+    Keys: `cells`, base64 of little-endian float32 `[H, W]`, NaN = obstacle. `starts`, `[[row, col], ...]`, or null for
+    `robots` starts by the rule. `policy`, `risk_cap`, `robot_value`, `deadline`, as the options of `evaluate`; null:
+    none. `unknown`, base64 of one byte for each cell; 1: unknown to the robots, with the prior threat `believed`.
+    `sensor_range`, in cells; null: unlimited. Raises InputError.
     """
     try:
         top = Key(json.loads(body), "", PAGE, UsageError)
     except (ValueError, RecursionError):
-        raise UsageError("no JSON", source=PAGE, expected="a board as JSON") from None
+        raise UsageError("not JSON", source=PAGE, expected="a board as JSON") from None
     keys = top.mapping(("cells", "starts", "robots", "policy", *LIMITS, "deadline", *KNOWN), ("rollouts",))
     given = {name: keys[name].number(expected="a number, or null") for name in LIMITS if keys[name].value is not None}
     settings = Settings(
@@ -223,9 +222,9 @@ def read_sketch(body: bytes, first: Sketch) -> tuple[Sketch, Mapping[str, Key]]:
     sense = replace(first.sense, range=inf if sees.value is None else sees.number(RANGE))
     unknown = _cells(keys["unknown"], ground.shape, "u1").astype(np.bool_)
     if unknown.any():
-        told = np.where(unknown, np.float32(believed), world.threat)
+        prior = np.where(unknown, np.float32(believed), world.threat)
         with keys["sensor_range"].naming():
-            world = with_truth(replace(world, threat=told), world, sense)
+            world = with_truth(replace(world, threat=prior), world, sense)
     return Sketch(world, robots if starts is None else len(starts), settings, deadline, believed, sense), keys
 
 
@@ -249,14 +248,14 @@ def _starts(key: Key) -> list[list[int]] | None:
     return [item.numbers(PLACE, "[row, col], whole numbers", 2) for item in items]
 
 
-# What the studio says of an answer: a headline, and the few figures below it.
+# Texts of a result: the summary, and the figures below it.
 
 WAITING = "..."
-"""In the place of a figure that is not known yet."""
+"""Placeholder of a figure that is not computed yet."""
 
 
 class Figure(NamedTuple):
-    """A figure to take away: its value, what it is, how sure."""
+    """A figure of the result: value, name, note."""
 
     value: str
     name: str
@@ -264,24 +263,24 @@ class Figure(NamedTuple):
 
 
 def headline(robots: int, mean: Estimate, losses: Estimate, alone: bool = False) -> str:
-    """The closed loop's answer in a sentence; `alone`: the open loop's, in which nobody takes over."""
-    covers = f"{counted(robots, 'robot covers', 'robots cover')} {without_level(coverage(mean))} of what can be reached"
+    """The summary of the closed loop; `alone`: of the open loop, in which no robot takes over another's work."""
+    covers = f"{counted(robots, 'robot covers', 'robots cover')} {without_level(coverage(mean))} of accessible cells"
     if alone:
-        covers = f"If nobody took over, {counted(robots, 'robot')} would cover {without_level(coverage(mean))}"
+        covers = f"In the open loop, {counted(robots, 'robot')} would cover {without_level(coverage(mean))}"
     lost = lost_words(losses.mean, robots, min(losses.digits(), 2))
     return f"{covers}; {lost} {'is' if robots == 1 else 'are'} lost."
 
 
 def coverage(mean: Estimate) -> str:
-    """A mean coverage in percent with its interval; an exact one says so."""
+    """A mean coverage in percent with its interval, or marked as exact."""
     return f"{percent(mean.mean, 2)} (exact)" if mean.half_width == 0 else mean.said(100.0, " %")
 
 
 def page_figures(
     cells: int, robots: int, mean: Estimate | None, losses: Estimate | None, rollouts: int, exact: OpenLoopExact | None
 ) -> list[Figure]:
-    """Covered, lost, and what the open loop comes to, if anybody drives it; None: not known yet."""
-    runs = f"{counted(rollouts, 'rollout')}, {counted(cells, 'accessible cell')}" if rollouts else "rolling out"
+    """Coverage, losses, and the open loop's exact coverage if it applies; None: not computed yet."""
+    runs = f"{counted(rollouts, 'rollout')}, {counted(cells, 'accessible cell')}" if rollouts else "simulating"
     lost, sure = (WAITING, "") if losses is None else losses_shown(losses, robots)
     found = [
         Figure(WAITING if mean is None else coverage(mean), "covered on average", runs),
@@ -289,34 +288,34 @@ def page_figures(
     ]
     if exact is not None:
         alone = f"exact; {lost_words(exact.expected_losses, robots)} lost"
-        found.append(Figure(percent(exact.visited / cells, 2), "if nobody took over (open loop)", alone))
+        found.append(Figure(percent(exact.visited / cells, 2), "covered in the open loop", alone))
     return found
 
 
 def knowledge_figures(found: Sequence[Measured]) -> list[Figure]:
-    """What not to know the map costs, and what it is worth to look.
+    """The cost of the unknown map, and the gain by the sensor.
 
-    `found`: the team told, as it is, and perhaps blind; empty: not known yet.
+    `found`: the team with the known map, as it is, and possibly without a sensor; empty: not computed yet.
     """
     if not found:
-        return [Figure(WAITING, "not knowing costs", "")]
-    told, learning, *blind = found
-    unit = 1.0 / told.largest("visited")
+        return [Figure(WAITING, "cost of the unknown map", "")]
+    known, online, *without = found
+    unit = 1.0 / known.largest("visited")
 
-    def figure(more: Measured, less: Measured, names: tuple[str, str], known: str, team: Measured) -> Figure:
+    def figure(more: Measured, less: Measured, names: tuple[str, str], what: str, team: Measured) -> Figure:
         alone, ahead = percent(team.mean("visited", unit).mean), more.ahead(less, "visited", unit)
         name, ahead = (names[0], ahead) if ahead.mean >= 0 else (names[1], ahead.negated)
-        return Figure(ahead.said(100.0, " points"), name, f"{known}, they cover {alone}")
+        return Figure(ahead.said(100.0, " points"), name, f"{what}: {alone} covered")
 
-    costs = figure(told, learning, ("not knowing costs", "not knowing gains"), "told the map", told)
-    looking = ("to look is worth", "to look costs")
-    return [costs, *(figure(learning, one, looking, "blind", one) for one in blind)]
+    costs = figure(known, online, ("cost of the unknown map", "gain by the unknown map"), "known map", known)
+    sensing = ("gain by the sensor", "cost of the sensor")
+    return [costs, *(figure(online, one, sensing, "no sensor", one) for one in without)]
 
 
 def deadline_figures(
     step: int | None, pace: Pace, mean: Estimate | None, exact: OpenLoopExact | None, cells: int
 ) -> list[Figure]:
-    """Coverage by a deadline, if there is one."""
+    """Coverage by the deadline, if there is one."""
     if step is None:
         return []
     alone = "" if exact is None else f"open loop: {percent(exact.by_deadline(step)[0] / cells, 2)}, exact"
@@ -324,51 +323,51 @@ def deadline_figures(
 
 
 def command_words(out: Path, rollouts: int | None, precision: float, deadline: int | None, seed: int) -> str:
-    """The command that repeats the answer to a saved board; without `rollouts` one that is as sure."""
+    """The command that repeats the result for a saved sketch; without `rollouts`, one of equal precision."""
     many = ("--precision", exactly(precision)) if rollouts is None else ("--rollouts", str(rollouts))
     more = (() if deadline is None else ("--deadline", str(deadline))) + (() if seed == 0 else ("--seed", str(seed)))
     return shlex.join(["mrac-jax", "evaluate", str(out), *many, *more])
 
 
-# The server behind the page: on the loopback alone, for whoever holds its token, and for no other page.
+# The server: on the loopback address only, with a token, for requests of its own page only.
 #
-# Tornado, because it is kept, needs no other package, bounds what a request may hold, and comes with `dask` anyway.
+# Tornado is maintained, needs no other package, limits the size of requests, and is a dependency of `dask` anyway.
 
-# One board at a time, in a thread of its own: the newest wins, older ones end where they are.
+# One result at a time, in a separate thread: a new sketch ends the work on older ones.
 
 LOG = logging.getLogger("mrac_jax")
 GRACE_SECONDS = 2.0
-"""How long an answer may take to end where the program ends: code that is being compiled cannot be stopped."""
+"""Time that a result may take to end at shutdown: compilation cannot be interrupted."""
 SUPERSEDED = {"superseded": True}
-"""The last line of a board in whose place another came."""
+"""Last line of a result that a newer sketch ended."""
 Tell = Callable[[Json | None], None]
-"""Takes a line of the answer; None: it is over."""
+"""Takes a line of the result; None: the end."""
 Work = Callable[[Any, Callable[[], None]], Iterator[Json]]
-"""`work(board, go_on)`: the lines; it calls `go_on`, which raises where another board has come."""
+"""`work(board, go_on)` yields the lines; it calls `go_on`, which raises Superseded after a newer sketch."""
 
 
 class Superseded(Exception):
-    """Nobody waits for this answer any more."""
+    """No client waits for this result any more."""
 
 
 class Job:
-    """A board that waits for its answer, or is being answered."""
+    """A sketch that waits for its result, or whose result is being computed."""
 
     def __init__(self, board: Any, tell: Tell) -> None:
         self.board, self.tell, self._over = board, tell, False
 
     def end(self) -> None:
-        """Nobody waits for it any more."""
+        """Mark the job as superseded."""
         self._over = True
 
     def go_on(self) -> None:
-        """Raise Superseded if that is so."""
+        """Raise Superseded if the job is."""
         if self._over:
             raise Superseded
 
 
 class Latest:
-    """Answers boards with `work`, at most one at a time; one more waits, and a newer one takes its place."""
+    """Computes results with `work`, one at a time. One more job waits; a newer one replaces it."""
 
     def __init__(self, work: Work) -> None:
         self._work, self._jobs = work, SimpleQueue[Job | None]()
@@ -378,13 +377,14 @@ class Latest:
         self._thread.start()
 
     def submit(self, board: Any, tell: Tell) -> Job:
-        """Answer this board next; `tell` is called from the thread. To be called from one thread alone."""
+        """Compute this result next; `tell` is called from the worker thread. Call from one thread only."""
         job = Job(board, tell)
         old, self._newest = self._newest, job
         if old is not None:
             old.end()
         with suppress(Empty):
-            waited = self._jobs.get_nowait()  # whoever takes it out answers it
+            # A waiting job is replaced, so at most one waits.
+            waited = self._jobs.get_nowait()  # the thread that removes a job must end it
             if waited is not None:
                 waited.tell(SUPERSEDED)
                 waited.tell(None)
@@ -392,7 +392,7 @@ class Latest:
         return job
 
     def close(self) -> None:
-        """End the thread, at its next step; a daemon, it ends with the program in any case."""
+        """End the thread at its next step; it is a daemon, so it never outlives the program."""
         if self._newest is not None:
             self._newest.end()
         self._jobs.put(None)
@@ -413,31 +413,31 @@ class Latest:
             job.tell(SUPERSEDED)
         except MracError as error:
             job.tell({"error": str(error)})
-        except Exception as error:  # a fault of ours: the page hears of it, and the next stroke is answered
+        except Exception as error:  # a bug: report it on the page, and go on with the next job
             LOG.exception("studio")
-            job.tell({"error": f"a fault of mrac-jax ({type(error).__name__}): please report what the terminal says"})
+            job.tell({"error": f"a bug in mrac-jax ({type(error).__name__}): please report the terminal's output"})
         finally:
             job.tell(None)
 
 
-# The answer to a board, line after line: the open loop's exact one, then the closed loop's until it is sure.
+# The result for a sketch, line by line: first the open loop's exact one, then the closed loop's with growing precision.
 
 PRECISION = 0.005
-"""Half the width of the 95 % interval of mean coverage at which the rollouts end, as `--precision` takes it."""
+"""Half-width of the 95 % interval of mean coverage at which the rollouts end, as `--precision`."""
 MOST_PAIRS = 2048
-"""Rollouts of teams with other eyes, each: on the same luck they tell as much as several times as many."""
+"""Rollouts of each team with another sensor: with common random numbers, few are enough."""
 SHOWN_SECONDS = 0.25
-"""Between two lines of rollouts that go on."""
+"""Seconds between two lines of running rollouts."""
 GoOn = Callable[[], None]
-"""Raises what ends the work if nobody waits for it any more."""
+"""Raises an exception that ends the work after a newer sketch."""
 
 
 @dataclass(frozen=True, eq=False)
 class Board:
-    """A board with its plan.
+    """A sketch with its plan.
 
     Attributes:
-        accessible: bool `[H, W]`. exact: the open loop's values. certain: every run is the same.
+        accessible: bool `[H, W]`. exact: expectations of the open loop. certain: all rollouts are equal.
     """
 
     sketch: Sketch
@@ -448,7 +448,7 @@ class Board:
     notes: tuple[str, ...]
 
     def open_line(self) -> Json:
-        """The open loop's line, which comes first and holds the planned paths too; null: too long to draw."""
+        """The open loop's line, the first, with the planned paths; null: too long to draw."""
         exact = self.exact
         mean, losses = exact_estimate(exact.visited / int(self.accessible.sum())), exact_estimate(exact.expected_losses)
         said = headline(len(self.plan.robots), mean, losses, alone=True)
@@ -463,7 +463,7 @@ class Board:
         by_deadline: Estimate | None = None,
         knowing: Sequence[Measured] = (),
     ) -> Json:
-        """The closed loop's line; `known`: its mean where that is exact; `knowing`: of `with_other_eyes`."""
+        """A line of the closed loop; `known`: exact mean, if computed; `knowing`: result of `with_other_sensors`."""
         mean, losses = known or visited_mean(tally), tally_mean(tally, "lost", certain=self.certain)
         said = headline(tally.robots, mean, losses)
         maps = [tally.covered_visited / tally.rollouts, tally.stops / tally.rollouts]
@@ -471,7 +471,8 @@ class Board:
         if self.sketch.world.knowledge is None:
             return line
         figures = [*line["figures"], *knowledge_figures(knowing)]
-        return line | {"figures": figures, "paths": None, "thickness": 0}  # nobody drives what is planned
+        # Robots replan, so the planned paths are not driven.
+        return line | {"figures": figures, "paths": None, "thickness": 0}
 
     def _line(
         self,
@@ -483,7 +484,7 @@ class Board:
         maps: list[NDArray[np.float64]],
         by_deadline: Estimate | None = None,
     ) -> Json:
-        """What the page is told; `maps`: chance covered and robots lost, `[N]` each."""
+        """Data for the page; `maps`: probability of coverage and robots lost, `[N]` each."""
         world, cells = self.sketch.world, int(self.accessible.sum())
         alone = self.exact if world.knowledge is None else None
         figures = page_figures(cells, len(self.plan.robots), mean, losses, rollouts, alone)
@@ -510,8 +511,8 @@ def visited_mean(tally: Tally) -> Estimate:
     return tally_mean(tally, "visited", 1.0 / tally.accessible)
 
 
-def with_other_eyes(board: Board, choices: RolloutChoices) -> list[Measured]:
-    """The team that is told the map, the team itself, and where the obstacles are known one that is blind."""
+def with_other_sensors(board: Board, choices: RolloutChoices) -> list[Measured]:
+    """The team with the known map, the team itself, and, if obstacles are known, the team without a sensor."""
     world = board.sketch.world
     assert world.knowledge is not None
     known, sees = world.knowledge, world.knowledge.sense.range
@@ -521,9 +522,9 @@ def with_other_eyes(board: Board, choices: RolloutChoices) -> list[Measured]:
 
 
 def answers(sketch: Sketch, seed: int, kept: AllPairs, go_on: GoOn) -> Iterator[Json]:
-    """Lines for the page, each surer than the one before. Raises InputError, and what `go_on` raises.
+    """Lines for the page, of growing precision. Raises InputError, and exceptions of `go_on`.
 
-    The figures are those of `evaluate` for so many rollouts of this seed; `kept` holds tables from board to board.
+    The figures are those of `evaluate` for the same number of rollouts and seed; `kept`: cache of distance tables.
     """
     starts, notes = sketch.starts()
     plan = plan_team(sketch.world, starts, sketch.settings)
@@ -538,7 +539,7 @@ def answers(sketch: Sketch, seed: int, kept: AllPairs, go_on: GoOn) -> Iterator[
     for stage in roll_out(choices, None):
         go_on()
         tally = stage.tally
-        if tally.rollouts >= 2 * looked:  # who looks more often than that stops too early
+        if tally.rollouts >= 2 * looked:  # more frequent checks would stop too early by chance
             looked = tally.rollouts
             if certain or visited_mean(tally).half_width < PRECISION:
                 break
@@ -553,7 +554,7 @@ def answers(sketch: Sketch, seed: int, kept: AllPairs, go_on: GoOn) -> Iterator[
             by_deadline = tally_mean(cut.tally, "visited", 1.0 / tally.accessible, certain=certain)
     knowing: list[Measured] = []
     if sketch.world.knowledge is not None:
-        knowing = with_other_eyes(board, replace(choices, rollouts=min(tally.rollouts, MOST_PAIRS), precision=None))
+        knowing = with_other_sensors(board, replace(choices, rollouts=min(tally.rollouts, MOST_PAIRS), precision=None))
         yield board.closed_line("sure", tally, None, by_deadline, knowing)
     go_on()
     truth = closed_truth(plan, sketch.world, exact, choices, kept)
@@ -563,23 +564,23 @@ def answers(sketch: Sketch, seed: int, kept: AllPairs, go_on: GoOn) -> Iterator[
 
 HOST = "127.0.0.1"
 MOST_BYTES = 2 * 2**20
-"""Of a request's body; a larger one is refused before it is read."""
+"""Limit of a request's body; a larger one is rejected before it is read."""
 MOST_CELLS = 250_000
-"""Of a map, so that its cells have room in a request."""
+"""Limit of a map's cells, so that they fit into a request."""
 PATIENCE = 20.0
-"""Seconds that a request's body may take to come."""
+"""Seconds in which a request's body must arrive."""
 IDLE = 60.0
-"""Seconds that a connection is kept without a request."""
+"""Seconds after which an idle connection is closed."""
 
 
 @dataclass(eq=False)
 class Studio:
-    """What the handlers share.
+    """State shared by the handlers.
 
     Attributes:
-        first: the board as the input has it. name: of the input, as shown. out: the scenario to save.
-        seed: of the rollouts. token: what a request must name. latest: answers boards.
-        board: the newest one, which a page that is loaded again goes on with.
+        first: the sketch of the input. name: of the input, for display. out: the scenario to save.
+        seed: of the rollouts. token: required in requests. latest: computes results.
+        board: the newest sketch, for a reloaded page.
     """
 
     first: Sketch
@@ -593,7 +594,7 @@ class Studio:
     def __post_init__(self) -> None:
         if self.first.settings.plan_for != "closed_loop":
             problem = f"plan_for is {self.first.settings.plan_for} in the studio"
-            raise UsageError(problem, source=self.name, expected="closed", fix="leave it out")
+            raise UsageError(problem, source=self.name, expected="closed_loop", fix="omit the setting")
         cells = self.first.world.threat.size
         if cells > MOST_CELLS:
             problem, fix = f"{cells:,} cells", "coarsen the map (--cell-size, or the scenario's cell_size)"
@@ -604,7 +605,7 @@ class Studio:
 
 
 class _Handler(RequestHandler):
-    """Refuses who has no business here, and says what is wrong in one line of JSON."""
+    """Base handler: rejects foreign requests, and reports errors as one line of JSON."""
 
     def initialize(self, studio: Studio, hosts: tuple[str, ...]) -> None:
         self.studio, self.hosts = studio, hosts
@@ -615,7 +616,7 @@ class _Handler(RequestHandler):
             self.set_header(name, value)
 
     def prepare(self) -> None:
-        """The page's own origin alone: other sites may send requests here, even under another name (DNS rebinding)."""
+        """Accept the page's origin only: other sites may send requests here, even by another name (DNS rebinding)."""
         headers = self.request.headers
         if self.request.host not in self.hosts:
             raise HTTPError(403, reason="Wrong host")
@@ -625,25 +626,26 @@ class _Handler(RequestHandler):
             raise HTTPError(403, reason="Wrong site")
 
     def write_error(self, status_code: int, **more: Any) -> None:
-        """No traceback: the reason, or what is wrong with the board."""
+        """The reason as JSON, without a traceback."""
         error = more.get("exc_info", (None, None))[1]
         said = str(error) if isinstance(error, InputError) else self._reason
+        # The body of a rejected request may be unread.
         self.set_header("Connection", "close")
         self.finish({"error": said})
 
     def log_exception(self, kind: Any, value: Any, trace: Any) -> None:
-        """Refusals are no news for the terminal."""
+        """Keep rejected requests out of the terminal."""
         if not isinstance(value, HTTPError | InputError):
             super().log_exception(kind, value, trace)
 
     def send_error(self, status_code: int = 500, **more: Any) -> None:
-        """Bad input is the request's fault."""
+        """Answer invalid input with status 400."""
         bad = isinstance(more.get("exc_info", (None, None))[1], InputError)
         super().send_error(400 if bad else status_code, **more)
 
 
 class _Page(_Handler):
-    """The page itself: nothing of the map is in it."""
+    """The page, without data of a map."""
 
     def get(self) -> None:
         self.set_header("Content-Type", "text/html; charset=utf-8")
@@ -651,19 +653,21 @@ class _Page(_Handler):
 
 
 class _Guarded(_Handler):
-    """What needs the token."""
+    """Base of handlers that require the token."""
 
     def prepare(self) -> None:
         super().prepare()
         given = self.request.headers.get("Authorization", "")
+        # Constant time, so that timing does not reveal the token.
         if not compare_digest(given.encode(), f"Bearer {self.studio.token}".encode()):
             raise HTTPError(401, reason="No token")
+        # A cross-site form cannot send this type without a preflight request.
         if self.request.method == "POST" and self.request.headers.get("Content-Type") != "application/json":
             raise HTTPError(415, reason="Not JSON")
 
 
 class _Board(_Guarded):
-    """The board to go on with, and the input's."""
+    """The newest sketch, and the input's."""
 
     def get(self) -> None:
         studio, first = self.studio, self.studio.first
@@ -673,7 +677,7 @@ class _Board(_Guarded):
 
 
 class _Answer(_Guarded):
-    """Lines of JSON, each surer than the one before, until it is sure or another board has come."""
+    """Lines of JSON of growing precision, until the result is final or a newer sketch arrives."""
 
     async def post(self) -> None:
         board, _ = read_sketch(self.request.body, self.studio.first)
@@ -688,7 +692,7 @@ class _Answer(_Guarded):
                 await self.flush()
 
     def on_connection_close(self) -> None:
-        """Nobody reads on."""
+        """End the job: the client is gone."""
         if hasattr(self, "job"):
             self.job.end()
 
@@ -699,7 +703,7 @@ def _hand_over(loop: asyncio.AbstractEventLoop, lines: asyncio.Queue, line: Json
 
 
 class _Save(_Guarded):
-    """The board as a scenario, and the command that repeats its answer."""
+    """Save the sketch as a scenario; return the command that repeats its result."""
 
     def post(self) -> None:
         board, keys = read_sketch(self.request.body, self.studio.first)
@@ -712,7 +716,7 @@ class _Save(_Guarded):
 
 
 def make_application(studio: Studio, port: int) -> Application:
-    """The addresses of a server that listens at this port."""
+    """The handlers of a server on this port."""
     shared = {"studio": studio, "hosts": (f"{HOST}:{port}", f"localhost:{port}")}
     pages = {"/": _Page, "/board": _Board, "/answer": _Answer, "/save": _Save}
     return Application(
@@ -724,7 +728,7 @@ def make_application(studio: Studio, port: int) -> Application:
 
 
 class _Missing(_Guarded):
-    """Every other address."""
+    """All other addresses."""
 
     def prepare(self) -> None:
         super().prepare()
@@ -732,9 +736,10 @@ class _Missing(_Guarded):
 
 
 async def serve(studio: Studio, port: int, ready: Callable[[str], None], over: asyncio.Event | None = None) -> None:
-    """Serve until `over` is set, or for ever; `ready` is told the address. Port 0: a free one. Raises UsageError."""
+    """Serve until `over` is set, or forever; `ready` gets the address. Port 0: a free one. Raises UsageError."""
     logging.getLogger("tornado.general").setLevel(logging.ERROR)
     try:
+        # Listen before the page is announced, so that its address works at once.
         with _listening(port) as listener:
             place = listener.getsockname()[1]
             server = HTTPServer(
@@ -756,7 +761,7 @@ def _listening(port: int) -> socket.socket:
     try:
         listener = socket.create_server((HOST, port))
     except OSError as error:
-        problem = f"--port {port} cannot be listened at ({error.strerror})"
-        raise UsageError(problem, expected="a free port", fix="leave it out") from None
+        problem = f"--port {port} is not available ({error.strerror})"
+        raise UsageError(problem, expected="a free port", fix="omit the option") from None
     listener.setblocking(False)
     return listener

@@ -1,4 +1,4 @@
-// The studio: what is painted or chosen is asked about at once; the newest question alone is waited for.
+// The studio: every change of the sketch starts a new request; only the newest one is displayed.
 const at = (id) => document.getElementById(id);
 const BRUSHES = ["Threat", "Obstacle", "Safe", "Unknown", "Known", "Start", "Move"], SIZES = ["1", "3", "7"], MOST_ROBOTS = 1024;
 const numbers = ["risk_cap", "robot_value", "deadline"], headline = at("headline"), box = at("board"), here = box.querySelector(".here"), view = box.parentElement;
@@ -25,7 +25,7 @@ async function start() {
   at("sensor_range").value = about.board.sensor_range ?? "";
   at("save").textContent = "Save as " + about.out;
 
-  // --- what is asked, and what is answered ---
+  // --- request and result ---
   const written_or_step = (text) => (/^\s*\d*\s*$/.test(text) ? +text || null : text.trim());
   const number = (key) => (at(key).value === "" || at(key).disabled ? null : +at(key).value);
   const body = () => ({
@@ -54,7 +54,7 @@ async function start() {
     } catch (error) {
       if (mine !== waiting || error.name === "AbortError") return;
       headline.dataset.stage = "failed";
-      problem(error instanceof TypeError ? "The studio does not answer: is it still running in the terminal?" : error.message);
+      problem(error instanceof TypeError ? "The studio does not respond: is it still running in the terminal?" : error.message);
     }
   }
   function take(line) {
@@ -72,8 +72,8 @@ async function start() {
     }));
     at("notes").replaceChildren(...line.notes.map((note) => make("li", "", note)));
     const { open, sure } = line.times, first = open === undefined ? "" : "Open loop, exact, after " + written(open, 2) + " s. ";
-    at("status").textContent = first + (sure === undefined ? "Rolling out what happens when others take over ..."
-      : "Sure to ± 0.5 points after " + written(sure, 2) + " s.");
+    at("status").textContent = first + (sure === undefined ? "Simulating the closed loop ..."
+      : "± 0.5 points after " + written(sure, 2) + " s.");
     show_all();
     if (owner === box && !tip.hidden && !stroke) tell();
     if (line.stage === "done") at("live").textContent = line.headline;
@@ -112,11 +112,11 @@ async function start() {
     here.scrollIntoView({ block: "nearest", inline: "nearest" });
     say(...said);
   }
-  // What is known of the cell that is pointed at.
+  // Facts of the cell under the pointer.
   function tell() {
     const index = cell[0] * cols + cell[1], threat = board.cells[index];
     const lines = [["", Number.isNaN(threat) ? "obstacle" : "threat", Number.isNaN(threat) ? "" : written(100 * threat, 2) + " %"]];
-    if (board.unknown[index]) lines.push(["", "robots do not know", "they believe " + written(+at("believed").value, 2) + " %"]);
+    if (board.unknown[index]) lines.push(["", "unknown to robots", "prior threat " + written(+at("believed").value, 2) + " %"]);
     for (const layer of answered ? answered.layers : []) {
       if (layer.values[index] <= answered.steps) lines.push(["", layer.name, valueOf(layer, layer.values[index], answered.steps)]);
     }
@@ -139,7 +139,7 @@ async function start() {
   box.addEventListener("pointerdown", (event) => {
     if (event.button !== 0 || stroke) return;
     point(...under(event), [event.clientX, event.clientY]);
-    if (BRUSHES[brush] === "Move") { // a finger drags by itself
+    if (BRUSHES[brush] === "Move") { // touch scrolls natively
       if (event.pointerType === "mouse") grabbed = [event.clientX + view.scrollLeft, event.clientY + view.scrollTop];
       return;
     }
@@ -223,7 +223,7 @@ async function start() {
     try {
       const rollouts = answered && ["sure", "done"].includes(headline.dataset.stage) ? answered.rollouts : null;
       const said = await (await call("/save", { ...body(), rollouts })).json();
-      at("saved").textContent = "Saved " + said.written.join(" and ") + ". The same figures again:";
+      at("saved").textContent = "Saved " + said.written.join(" and ") + ". To repeat the result:";
       at("command").textContent = said.command;
       command.hidden = false;
     } catch (error) { problem(error.message); }

@@ -1,1 +1,1 @@
-"""Sweeps: many maps, teams, planners and models, run on processes or a cluster, kept in a store that survives."""
+"""Sweeps: many maps, teams, planners and models, in processes or on a cluster, into a crash-safe store."""

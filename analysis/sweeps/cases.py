@@ -1,8 +1,7 @@
-"""What a sweep runs: a case (world, team, plan), a model (how it is rolled out), and the key of the two together.
+"""Units of work of a sweep: a case (world, team, plan), a model (rollout choices), and the key of both.
 
-The key of a run is a hash of content: the threats, the starts, what the plan follows from, the model, its seed and the
-version of the rules that it follows. Names of files, labels, the number of rollouts, the engine, and the machine are
-not in it.
+The key of a run is a hash of content: threats, starts, inputs of the plan, the model with its seed, and the version of
+the simulation rules. It does not depend on file names, labels, the number of rollouts, the engine or the machine.
 """
 
 from __future__ import annotations
@@ -51,12 +50,12 @@ if TYPE_CHECKING:
     from planner.rollouts.loop import ClosedLoop
     from planner.rollouts.tables import AllPairs
 
-# The worlds of a sweep: the paper's random ones, and those that a scenario describes. Hashable; made when needed.
+# The worlds of a sweep: the paper's random ones, and those of scenarios. Hashable; generated when needed.
 
 MOST_MAPS = 1_000_000
-"""Random maps of one run."""
-BESIDE = ("prior_map", "sensor_range", "moving_threats", "phases", "plan_on", "latent_hazard", "map_uncertainty")
-"""Keys of a scenario that a random map may have: what robots know of it, and how its threats change."""
+"""Limit of random maps in one run."""
+SCENARIO_KEYS = ("prior_map", "sensor_range", "moving_threats", "phases", "plan_on", "latent_hazard", "map_uncertainty")
+"""Keys of a scenario that a random map may have: the team's map knowledge, and changes of the threats."""
 
 
 def check_maps(maps: int, seed: int) -> None:
@@ -69,12 +68,12 @@ def check_maps(maps: int, seed: int) -> None:
 
 @dataclass(frozen=True)
 class Generated:
-    """One of the paper's random worlds (SPEC section 8), told or not; `seed` is the world's.
+    """One of the paper's random worlds (docs/spec.md section 8); `seed` is the world's.
 
     Attributes:
-        kind, areas, threat_levels, seed: as of `planner.world.generate.ThreatPattern`. size: rows, columns.
-        ratio, obstacles: fractions of all cells that are dangerous, and that are obstacles.
-        unsaid: keys of a scenario, those of BESIDE, as canonical JSON.
+        kind, areas, threat_levels, seed: as in `planner.world.generate.ThreatPattern`. size: rows, columns.
+        ratio, obstacles: fractions of all cells that have a threat, and that are obstacles.
+        unsaid: further keys of a scenario, of SCENARIO_KEYS, as canonical JSON.
     """
 
     kind: Kind = "contiguous"
@@ -96,27 +95,25 @@ class Generated:
 
 @dataclass(frozen=True)
 class Written:
-    """A world that a scenario describes.
+    """A world from a scenario.
 
     Attributes:
-        scenario: the scenario file's keys as canonical JSON. source: the file that relative paths start from, and that
-            messages name.
+        scenario: the scenario's keys as canonical JSON. source: file for relative paths and for messages.
     """
 
     scenario: str
     source: str
 
     def world(self) -> World:
-        """The world, with what the scenario says of its team. Raises InputError."""
+        """The world with the scenario's team settings. Raises InputError."""
         source = Path(self.source)
         return read_scenario(Key(json.loads(self.scenario), "", source), source)
 
 
 RULES = "rules"
-"""The label of runs whose rules an earlier release had otherwise (`planner.world.features`), and of those of that
-release."""
+"""Label of runs whose rules changed between releases (`planner.world.features`), and of their earlier versions."""
 REMEMBERED = 4
-"""Worlds that `Places` keeps: the next case is mostly another team in the same one."""
+"""Number of worlds that `Places` caches: the next case is mostly another team in the same world."""
 Label = str | int | float | bool | None
 
 
@@ -125,10 +122,10 @@ class Case:
     """World, team and plan.
 
     Attributes:
-        world: where. robots: how many, placed by the start rule; None: as many as the scenario says, else 1.
-        starts: (row, col) of each robot, instead of `robots`; None: the scenario's, else the start rule's.
-        choices: the planner's settings, those that are given. plan: a plan file to run instead of planning.
-        labels: what the results are found by, (name, value); no part of the case's identity.
+        world: to simulate. robots: team size for the start rule; None: as in the scenario, else 1.
+        starts: (row, col) of each robot, instead of `robots`; None: the scenario's, else those of the start rule.
+        choices: given settings of the planner. plan: a plan file instead of planning.
+        labels: (name, value) for queries; not part of the case's identity.
     """
 
     world: Generated | Written
@@ -140,13 +137,13 @@ class Case:
 
     @property
     def name(self) -> str:
-        """The labels, as messages name the case."""
+        """The labels as text, for messages."""
         return " ".join(f"{name}={value}" for name, value in self.labels) or "case"
 
 
 @dataclass(frozen=True, eq=False)
 class Team:
-    """A case made ready for planning. `starts` is int64 `[K, 2]`; `plan`: from a file, else None."""
+    """A case ready for planning. `starts`: int64 `[K, 2]`; `plan`: from a file, else None."""
 
     world: World
     starts: NDArray[np.int64]
@@ -155,7 +152,7 @@ class Team:
 
     @cached_property
     def identity(self) -> str:
-        """Hash of all that its plan follows from."""
+        """Hash of all inputs of its plan."""
         said = {
             "shape": list(self.world.shape),
             "world": self.world.luck_sha256,
@@ -165,17 +162,17 @@ class Team:
         return hashlib.sha256(canonical(said).encode()).hexdigest()
 
     def build(self) -> Plan:
-        """Its plan. Raises InputError."""
+        """The plan. Raises InputError."""
         return plan_team(self.world, self.starts, self.settings) if self.plan is None else self.plan
 
 
 def labels_of(case: Case, team: Team, model: RolloutChoices) -> dict[str, Label]:
-    """What a run is found by: the case's labels, the number of robots, how it is rolled out."""
+    """Labels of a run for queries: the case's, the number of robots, and the model's."""
     checks = "first_visit" if model.first_only else "every_visit"
     drawn: dict[str, Label] = {"loop": model.loop, "threat_checks": checks}
-    told = dict(case.labels) | {"robots": len(team.starts)} | drawn | {"rollout_seed": model.seed}
+    labels = dict(case.labels) | {"robots": len(team.starts)} | drawn | {"rollout_seed": model.seed}
     rules = _rules(team, model)
-    return told if rules == BEFORE else told | {RULES: RELEASES[rules]}
+    return labels if rules == BEFORE else labels | {RULES: RELEASES[rules]}
 
 
 def generated_case(
@@ -187,24 +184,24 @@ def generated_case(
     *,
     choices: Choices | None = None,
 ) -> Case:
-    """The team of `robots` on the paper's random world with this seed."""
+    """A team on the paper's random world with this seed."""
     labels = (("kind", kind), ("ratio", ratio), ("robots", robots), ("map", seed))
     return Case(Generated(kind, ratio, seed, size), robots, choices=choices or Choices(), labels=labels)
 
 
 class Places:
-    """Makes teams of cases; keeps the last few worlds, so that a world's teams follow each other at no cost."""
+    """Creates teams of cases; caches the last few worlds."""
 
     def __init__(self) -> None:
         self._world = lru_cache(REMEMBERED)(lambda where: where.world())
         self._plan = lru_cache(REMEMBERED)(lambda path, where: read_plan_on(path, self._world(where)))
 
     def team(self, case: Case) -> Team:
-        """The case's world, starts and settings. Raises InputError naming the case."""
+        """The case's world, starts and settings. Raises InputError that names the case."""
         return self._checked(case, lambda world: world)
 
     def earlier_key(self, case: Case, team: Team, model: RolloutChoices) -> str | None:
-        """The key of the run as releases before 0.4 made it; None where their rules for it are today's.
+        """The key of the run in releases before 0.4; None if their rules for it are unchanged.
 
         `team`: the case's.
         """
@@ -228,12 +225,12 @@ class Places:
             return self._planned(case)
         if case.starts is not None:
             if case.robots not in (None, len(case.starts)):
-                raise UsageError(f"{case.robots} robots and {len(case.starts)} starts", fix="leave robots out")
+                raise UsageError(f"{case.robots} robots and {len(case.starts)} starts", fix="omit `robots`")
             starts = check_starts(np.array(case.starts), world.threat, case.name)
         elif world.starts is not None:
             if case.robots is None or case.robots > len(world.starts):
                 check_same_team(case.robots, world.starts, world.source)
-            starts = world.starts[: case.robots]  # as `size` has it
+            starts = world.starts[: case.robots]  # smaller teams take the first starts, as in `size`
         else:
             count = case.robots if case.robots is not None else (world.team.robots or 1)
             starts, _ = place_starts(world, count, world.team.start)
@@ -245,6 +242,7 @@ class Places:
         if case.robots not in (None, len(plan.robots)) or case.starts is not None or case.choices.given():
             expected = f"its own {len(plan.robots)} robots, starts and settings"
             raise UsageError(f"{case.plan} with other robots, starts or settings", expected=expected)
+        # External plans have no settings.
         return Team(world, plan.starts, plan.settings or Settings(), plan)
 
 
@@ -253,20 +251,19 @@ def _rules(team: Team, model: RolloutChoices) -> int:
 
 
 def run_key(team: Team, model: RolloutChoices, rules: int | None = None) -> str:
-    """The identity of a run: sha256, as 64 hex digits, of all that its rollouts follow from. Cheap: nothing planned.
+    """The identity of a run: sha256, 64 hex digits, of all inputs of its rollouts. Nothing is planned.
 
-    `rules`: the version that it follows; None: today's for such a team (`planner.world.features.rules_of`), so that
-    runs which
-    no change of the rules concerns keep their keys.
+    `rules`: version of the simulation rules; None: the latest that concerns such a team
+    (`planner.world.features.rules_of`), so that runs unaffected by a change of the rules keep their keys.
     """
+    # Keys and values of 0.3, so that its stores are resumed.
     drawn = {"loop": model.loop, "first_only": model.first_only, "seed": model.seed, "mode": "tolerance"}
     said = {"semantics": rules or _rules(team, model), "team": team.identity, "model": drawn}
     return hashlib.sha256(canonical(said).encode()).hexdigest()
 
 
 def _plan_hash(plan: Plan) -> str:
-    """Of a plan file: its paths, and for one of ours the allocation and the settings that the closed loop goes by, and
-    the state that it goes on from."""
+    """Hash of a plan file: its paths, and for an MRAC plan its allocation, settings and state to resume from."""
     width = plan.shape[1]
     paths = [[list(divmod(cell, width)) for cell in robot.path.tolist()] for robot in plan.robots]
     areas = [[area.level, area.robot, area.cells.tolist()] for area in plan.areas]
@@ -277,7 +274,7 @@ def _plan_hash(plan: Plan) -> str:
 
 
 def canonical(value: object) -> str:
-    """JSON with sorted keys and no blanks: equal values give equal text."""
+    """JSON with sorted keys and no spaces: equal values give equal text."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"))
 
 
@@ -287,30 +284,30 @@ def shown(value: Label) -> str:
 
 
 def naming(error: InputError, case: str) -> InputError:
-    """The same error, of the same kind, naming the case first."""
+    """The error with the case in its source, of the same type."""
     if case in error.source:
         return error
     source = f"{case}: {error.source}" if error.source else case
     return type(error)(error.problem, source=source, expected=error.expected, fix=error.fix)
 
 
-# The unit of work: one team with its models and the rollout ids wanted of each; a pure function, wherever it runs.
+# The unit of work: one team, its models and the wanted rollout ids of each. A pure function.
 #
-# A task carries all that its results depend on, and no settings of the machine: run twice, in another
-# order, by another process or on another machine, it gives the same counts.
+# A task carries all inputs of its results and no settings of the machine: any order, process or machine gives the same
+# counts.
 
 ONCE_UNDER_WAY: dict[str, Any] = {
     "policy": DEFAULT, **dict.fromkeys(("risk_cap", "robot_value", "range", "recharge", "max_steps", "deadline")),
     **{name: getattr(Settings(), name) for name in BEARING},
 }  # fmt: skip
-"""Settings, by their defaults, that the areas at t = 0 do not depend on."""
+"""Settings, at their defaults, that the areas at t = 0 do not depend on."""
 
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """Rollout ids of one model to run: `key` of the run (`cases.run_key`), what it is found by, and the ids.
+    """Rollout ids of one model to simulate: `key` of the run (`run_key`), the model, and the ids.
 
-    `exact_seconds`: as of `engine.Job`.
+    `exact_seconds`: see `engine.Job`.
     """
 
     key: str
@@ -321,7 +318,7 @@ class Wanted:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """The team of a case, and what is wanted of it; `ticket` is for whoever sent it."""
+    """The team of a case, and its wanted rollouts; `ticket` identifies the task for its sender."""
 
     case: Case
     team: Team
@@ -331,11 +328,11 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class RunResult:
-    """What a task found of one run.
+    """The results of a task for one run.
 
     Attributes:
-        key: the run's. what: labels that it is found by. facts: what is known without rolling out (`facts_of`).
-        tallies: one for each aligned block of ids that was rolled out, or part of one.
+        key: of the run. what: its labels. facts: known without rollouts (`facts_of`).
+        tallies: one for each aligned block of ids that was simulated, or part of a block.
     """
 
     key: str
@@ -345,11 +342,11 @@ class RunResult:
 
 
 Stream = Callable[[Iterable[Task]], Iterator[tuple[Task, list[RunResult]]]]
-"""Runs tasks, taken from the iterable as there is room; yields each with its results, in any order."""
+"""Runs tasks, taken from the iterable when a worker is free; yields each with its results, in any order."""
 
 
 def run_task(task: Task) -> list[RunResult]:
-    """Plan once, make the tables once, roll out every model's ids on one thread. Raises InputError naming the case."""
+    """Plan once, compute the tables once, and simulate every model's ids on one thread. Raises InputError."""
     try:
         closed = any(wanted.model.loop == "closed" for wanted in task.wanted)
         loops = _prepared(_Same(task.team.identity, task.team), closed)
@@ -359,7 +356,7 @@ def run_task(task: Task) -> list[RunResult]:
 
 
 def run_tasks(tasks: list[Task]) -> list[list[RunResult]]:
-    """`run_task` of one after the other."""
+    """`run_task` for each task in order."""
     return [run_task(task) for task in tasks]
 
 
@@ -381,18 +378,19 @@ def _tasks_run(wanted: Wanted, task: Task, loops: _Loops) -> RunResult:
 
 
 class _Loops:
-    """The models of one plan, ready to roll out; the closed loop's tables are made once for all of them.
+    """The models of one plan, ready to simulate; they share the closed loop's tables.
 
-    Where they are made anyway, the compiled simulator makes the nominal run too.
+    If these tables are needed anyway, the compiled simulator computes the nominal run too.
     """
 
     def __init__(self, team: Team, closed: bool) -> None:
         self._team = team
         self._closed: ClosedLoop | None = None
-        known = team.world.draws is None  # the compiled nominal run is of one truth
+        known = team.world.draws is None  # the compiled nominal run needs a known true map
         if closed and known and team.plan is None and team.settings.plan_for == "closed_loop":
             from planner.rollouts.closed_loop import with_nominal_run
 
+            # Teams that differ only in these settings share the allocation.
             alike = replace(team, settings=replace(team.settings, **ONCE_UNDER_WAY))
             problem, begun = _allocated(_Same(alike.identity, alike))
             own = problem if team.settings == alike.settings else None
@@ -404,7 +402,7 @@ class _Loops:
         self.facts = facts_of(team, self._plan, None if self._closed is None else self._closed.max_steps)
 
     def of(self, model: RolloutChoices) -> Engine:
-        """What rolls a model out, on one thread."""
+        """The engine of a model, on one thread."""
         from planner.rollouts.engine import closed_loop_engine, open_loop_engine
         from planner.rollouts.open_loop import compile_plan
 
@@ -414,7 +412,7 @@ class _Loops:
         return closed_loop_engine(self.closed(model), model.seed, "numba", threads=1)
 
     def closed(self, model: RolloutChoices) -> ClosedLoop:
-        """A model's closed loop."""
+        """The closed loop of a model."""
         if self._closed is None:
             self._closed = self._compiled(self._plan)
         loop = self._closed
@@ -431,7 +429,7 @@ class _Loops:
 
 @dataclass(frozen=True)
 class _Same:
-    """A team, equal to another of the same content."""
+    """A team that equals another of the same content."""
 
     identity: str
     team: Team = field(compare=False)
@@ -439,13 +437,13 @@ class _Same:
 
 @lru_cache(maxsize=1)
 def _prepared(what: _Same, closed: bool) -> _Loops:
-    """Plan, facts and tables; the last team's are kept, for a run that is split into tasks by ids."""
+    """Plan, facts and tables. The last team's are cached, for a run that is split into several tasks."""
     return _Loops(what.team, closed)
 
 
 @lru_cache(maxsize=1)
 def _allocated(what: _Same) -> tuple[Problem, Plan]:
-    """The plan before its nominal run; the last one is kept, for other settings of a team on the same map."""
+    """The plan before its nominal run. The last one is cached, for other settings of a team on the same map."""
     from planner.make_plan import allocated
 
     kept, team = _of_world(what.team.world.sha256), what.team
@@ -455,7 +453,7 @@ def _allocated(what: _Same) -> tuple[Problem, Plan]:
 
 @dataclass
 class _Kept:
-    """What teams in one world hand on to the next: its all-pairs tables, and the problem of the last team."""
+    """Data that teams in one world share: distance tables, and the problem of the last team."""
 
     pairs: AllPairs
     problem: Problem | None = None
@@ -463,14 +461,14 @@ class _Kept:
 
 @lru_cache(maxsize=1)
 def _of_world(world: str) -> _Kept:
-    """Of a world, known by its hash; the last world's."""
+    """The shared data of a world, by its hash; the last world's is cached."""
     from planner.rollouts.tables import AllPairs
 
     return _Kept(AllPairs())
 
 
 def exact_means(loop: ClosedLoop, seconds: float) -> Json | None:
-    """Means of the figures of a closed loop, cells, steps, robots and a chance; None where its tree is too dear."""
+    """Exact expectations of a closed loop, in cells, steps, robots and a chance; None if its tree is too expensive."""
     from analysis.estimators.trial import Known, tree_of
 
     tree = tree_of(loop, seconds)
@@ -487,14 +485,17 @@ def exact_means(loop: ClosedLoop, seconds: float) -> Json | None:
 
 
 def facts_of(team: Team, plan: Plan, most: int | None = None) -> Json:
-    """What is known of a team's plan without rolling out, as JSON: cells, the open loop's exact values, the ideal.
+    """Facts of a team's plan that need no rollouts, as JSON.
 
-    `exact`: of the open loop, in cells, steps and robots; None what is not known. `ideal_team`: SPEC
-    section 7, cells; None where robots wear or differ, and where threats move.
-    `most`: T_max, if it is known.
-    `rules`: the latest of the release that made it; `longest`: steps that a run of either loop takes at most;
-    `deadline`: only where it, not the step limit, cuts runs off; stores of earlier releases lack all three. Where a job
-    asks for exact values, its runs' facts have `closed_loop` too (`exact_means`).
+    Args:
+        most: T_max, if it is known.
+
+    Returns:
+        `exact`: expectations of the open loop, in cells, steps and robots; None: unknown. `ideal_team`: upper bound in
+        cells (docs/spec.md section 7); None: not valid for the failure model, or threats move. `rules`: the latest
+        version of this release. `longest`: upper bound of a rollout's steps in either loop. `deadline`: only if it, not
+        the step limit, ends rollouts. Stores of earlier releases lack the last three. If a job asks for exact values,
+        its runs also have `closed_loop` (`exact_means`).
     """
     from analysis.theory.bounds import ideal_team
     from analysis.theory.exact import open_loop_exact
@@ -529,20 +530,20 @@ def facts_of(team: Team, plan: Plan, most: int | None = None) -> Json:
     }
 
 
-# Tasks on a dask.distributed cluster that runs elsewhere: tcp:// as it is, tls:// by dask's own configuration.
+# Tasks on a dask.distributed cluster: tcp:// without authentication, tls:// with dask's own configuration.
 #
-# Whoever can reach a scheduler at tcp:// can run code as its workers and read what they send; at tls:// it takes a key
-# that the cluster's authority has signed (`distributed.comm.tls` in dask's configuration, docs/sweeps.md).
+# Any process that can reach a scheduler at tcp:// can run code as its workers do and read their data. tls:// needs a
+# key signed by the cluster's authority (`distributed.comm.tls` in dask's configuration, docs/sweeps.md).
 #
-# Tasks are pure, so a worker that is lost costs its tasks alone: the scheduler gives them to another. Results come back
-# to the client, which writes the store; nothing is kept on the cluster.
+# Tasks are pure, so a lost worker costs only its tasks: the scheduler gives them to another. Results return to the
+# client, which writes the store; the cluster stores nothing.
 
 CONNECT_SECONDS = 6.0
-"""How long a scheduler has to answer."""
+"""Time limit for a scheduler's response."""
 WORKER_SECONDS = 60.0
-"""How long the first worker may take to come."""
+"""Time limit for the arrival of the first worker."""
 LOOK_SECONDS = 2.0
-"""How often the number of workers is asked for: they may come and go."""
+"""Interval at which the number of workers is updated."""
 
 
 @contextmanager
@@ -554,7 +555,7 @@ def on_cluster(scheduler: str | Client) -> Iterator[Stream]:
         fix = 'pip install "mrac-jax[dask]", or use ' + argument("processes")
         raise UsageError("dask.distributed is not installed", fix=fix) from None
     named, quiet = f"{argument('scheduler')} {scheduler}", logging.root.manager.disable
-    logging.disable(logging.CRITICAL)  # workers that come and go are no news for whoever waits for a result
+    logging.disable(logging.CRITICAL)  # dask logs arriving and leaving workers as errors
     try:
         if isinstance(scheduler, str):
             _check_scheduler(scheduler, named)
@@ -574,7 +575,7 @@ def on_cluster(scheduler: str | Client) -> Iterator[Stream]:
 
 
 def _check_client(given: object, kind: type, named: str) -> None:
-    """Raise UsageError unless `given` is an open client whose calls wait for their answer."""
+    """Raise UsageError unless `given` is an open, synchronous client."""
     expected = "the address of a dask scheduler, or a dask.distributed Client that is open and not asynchronous"
     if not isinstance(given, kind):
         raise UsageError(named, expected=expected)
@@ -584,22 +585,22 @@ def _check_client(given: object, kind: type, named: str) -> None:
 
 
 def _check_scheduler(scheduler: str, named: str) -> None:
-    """Raise UsageError unless a scheduler answers at this address."""
+    """Raise UsageError unless a scheduler responds at this address."""
     if scheduler.startswith("tls://"):
         _check_keys(named)
     try:
         answers = _cluster_run(asyncio.wait_for(_identity(scheduler), CONNECT_SECONDS))
-    except Exception as error:  # whatever listens there may say anything
+    except Exception as error:  # a server of another kind may respond with anything
         fix = f"start one with `dask scheduler`, or use {argument('processes')}"
         expected = "an address, as tls://host:8786 or tcp://host:8786"
-        problem = f"{named}: no scheduler answers ({type(error).__name__})"
+        problem = f"{named}: no scheduler responds ({type(error).__name__})"
         raise UsageError(problem, expected=expected, fix=fix) from None
     if answers != "Scheduler":
         raise UsageError(f"{named} is a dask {answers}", expected="the address of a scheduler")
 
 
 def _cluster_run(main: Coroutine[Any, Any, str]) -> str:
-    """`run_loop`, in another thread where this one has a loop already, as a notebook's has."""
+    """`run_loop`, in another thread if this one has a running loop, as in a notebook."""
     try:
         asyncio.get_running_loop()
     except RuntimeError:
@@ -609,12 +610,12 @@ def _cluster_run(main: Coroutine[Any, Any, str]) -> str:
 
 
 def _check_keys(named: str) -> None:
-    """Raise UsageError unless dask's configuration names files to meet a tls:// scheduler with."""
+    """Raise UsageError unless dask's configuration names key files for tls://."""
     from distributed.security import Security
 
     try:
-        ready, problem = Security().get_connection_args("client").get("ssl_context") is not None, "no key is named"
-    except OSError as error:  # of the files, or what is in them
+        ready, problem = Security().get_connection_args("client").get("ssl_context") is not None, "no key is configured"
+    except OSError as error:  # missing or invalid key files
         ready, problem = False, " ".join(str(error).split())
     if not ready:
         raise UsageError(
@@ -625,7 +626,7 @@ def _check_keys(named: str) -> None:
 
 
 async def _identity(address: str) -> str:
-    """What a dask server says that it is. A Client asks too, but one that gets no answer lingers for long."""
+    """The type of a dask server. A Client could ask too, but without a response it blocks for long."""
     from distributed.core import connect
     from distributed.security import Security
 
@@ -638,7 +639,7 @@ async def _identity(address: str) -> str:
 
 
 def _stream(client: Client, tasks: Iterable[Task], where: str) -> Iterator[tuple[Task, list[RunResult]]]:
-    """Tasks as there is room for them, results as they come."""
+    """Submit tasks while workers are free, and yield results as they arrive."""
     from distributed import CancelledError, as_completed
     from distributed.scheduler import KilledWorker
 
@@ -664,11 +665,11 @@ def _stream(client: Client, tasks: Iterable[Task], where: str) -> Iterator[tuple
                 results = future.result()
             except KilledWorker:
                 fix = "give the workers more memory, or use fewer of them"
-                raise UsageError(f"{where}: worker after worker was lost at {task.case.name}", fix=fix) from None
+                raise UsageError(f"{where}: several workers were lost at {task.case.name}", fix=fix) from None
             except (CancelledError, OSError) as error:
-                fix = "what was done is in the store: run the same command again to go on"
+                fix = "finished results are in the store: run the same command again to continue"
                 raise UsageError(f"{where} was lost ({type(error).__name__})", fix=fix) from None
             future.release()
             yield task, results
-    finally:  # of a client that stays open, too
+    finally:  # a given client stays open, so its tasks must be cancelled
         client.cancel([future for future, _ in running.values()])

@@ -1,8 +1,7 @@
-"""Runs cases into a store: skips what it has, keeps a few tasks in flight, and writes each result as it comes.
+"""Runs cases into a store: skips stored rollouts, keeps a few tasks in flight, and stores each result as it arrives.
 
-Only this process writes the store; workers are handed tasks and hand back counts. Whoever is killed, the store holds
-whole results, and the same call again does what is missing. Memory does not grow with the number of cases: jobs are
-taken from the iterable one by one.
+Only this process writes the store; workers receive tasks and return counts. After a kill the store holds complete
+results, and the same call continues. Memory does not grow with the number of cases: jobs are taken one by one.
 """
 
 from __future__ import annotations
@@ -45,18 +44,19 @@ if TYPE_CHECKING:
     from distributed import Client
 
 SHARE = 16_384
-"""Rollouts of a model in one task on a map of at most 400 cells; fewer on larger ones, where each takes longer."""
+"""Rollouts of a model in one task on a map of at most 400 cells; fewer on larger maps, where each takes longer."""
 LEAST_SHARE = 64
 BATCH, FEW = 12, 4_096
-"""Tasks that a process is handed at a time, at most, and rollouts on 400 cells in all of them: a task of few takes
-less time than a process's answer to it, and teams in one world hand that over once."""
+"""Largest number of tasks in one message to a process, and of rollouts on 400 cells in all of them: small tasks take
+less time than their message, and teams in one world then share its data."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A case with its models, and the first `rollouts` ids of each; `tag` is whoever asks's own.
+    """A case with its models, and the first `rollouts` ids of each; `tag` is the caller's.
 
-    `exact_seconds`: of looking for the closed loops' exact values, about, which rows then go by (`tasks.exact_means`).
+    `exact_seconds`: approximate time limit for exact expectations of the closed loops, which rows then use
+    (`cases.exact_means`).
     """
 
     case: Case
@@ -72,11 +72,11 @@ class Job:
 
 @dataclass(frozen=True)
 class Done:
-    """Where a sweep stands, and the job that has just been finished.
+    """Progress of a sweep, and the job that has just been finished.
 
     Attributes:
-        jobs: finished, of `total` (0: not known). job: the last one; keys: of its runs, one a model.
-        rollouts: run by now. seconds: since the start.
+        jobs: finished, of `total` (0: unknown). job: the last one; keys: of its runs, one for each model.
+        rollouts: simulated so far. seconds: since the start.
     """
 
     jobs: int
@@ -89,9 +89,9 @@ class Done:
 
 @dataclass(frozen=True)
 class Finished:
-    """How a sweep ended: jobs finished, rollouts run and reused, seconds; `partial`: interrupted.
+    """Summary of a sweep: jobs finished, rollouts simulated and reused, seconds; `partial`: interrupted.
 
-    `earlier`: runs that the store holds by the rules of an earlier release too, which are left alone.
+    `earlier`: stored runs that follow an earlier release's rules; they are not used.
     """
 
     jobs: int
@@ -103,18 +103,18 @@ class Finished:
 
     @property
     def said(self) -> str:
-        """In a line."""
+        """One line for reports."""
         return f"{self.seconds:.0f} s: {counted(self.rollouts, 'rollout')} run, {self.reused:,} from the store"
 
 
 class Swept(Answer):
-    """An answer that a sweep gave; `finished`: how it ended."""
+    """A result of a sweep; `finished`: its summary."""
 
     finished: Finished
 
     @property
     def partial(self) -> bool:  # type: ignore[override]
-        """It was interrupted."""
+        """Whether it was interrupted."""
         return self.finished.partial
 
 
@@ -127,17 +127,20 @@ def run_cases(
     total: int = 0,
     progress: Callable[[Done], None] | None = None,
 ) -> Finished:
-    """Run every job's missing ids into the store. No count depends on how: the same ids give the same tallies.
+    """Simulate every job's missing ids into the store. Counts do not depend on processes, batches or order.
 
     Args:
-        jobs: taken one by one, so it may be endless as long as somebody interrupts. store: where results go.
-        processes: of this machine (None: one a core; 1: this process).
-        scheduler: a dask.distributed scheduler to run on instead: its address, or an open client of it.
+        jobs: taken one by one; the iterable may be endless if the caller interrupts. store: for the results.
+        processes: on this machine (None: one for each core; 1: this process).
+        scheduler: a dask.distributed scheduler instead: its address, or an open client.
         total: number of jobs, for `progress`, if it is known.
         progress: called after every job.
 
-    An interruption (KeyboardInterrupt) ends it; what was finished is in the store and the answer says `partial`.
-    Raises InputError naming the case, StoreError, UsageError for a cluster that is not there.
+    Returns:
+        The summary. After an interruption (KeyboardInterrupt) it is `partial`; finished results are stored.
+
+    Raises:
+        InputError: names the case. StoreError. UsageError: a cluster that does not respond.
     """
     run = _Run(store, total, progress)
     try:
@@ -154,7 +157,7 @@ def run_cases(
 
 
 def check_where(processes: int | None, scheduler: str | Client | None) -> None:
-    """Raise UsageError where `run_cases` cannot run: for whoever makes a store for what it gives."""
+    """Raise UsageError if `run_cases` cannot run, before a store is created for it."""
     wanted_processes(processes, 0)
     if scheduler is not None:
         with _stream(processes, scheduler, 0):
@@ -163,7 +166,7 @@ def check_where(processes: int | None, scheduler: str | Client | None) -> None:
 
 @contextmanager
 def _stream(processes: int | None, scheduler: str | Client | None, total: int) -> Iterator[Stream]:
-    """What runs tasks: a cluster, this process, or so many of this machine."""
+    """The stream of tasks: on a cluster, in this process, or in several processes of this machine."""
     if scheduler is not None:
         from analysis.sweeps.cases import on_cluster
 
@@ -183,7 +186,7 @@ def _stream(processes: int | None, scheduler: str | Client | None, total: int) -
 
 
 def _batches(tasks: Iterable[Task]) -> Iterator[list[Task]]:
-    """The tasks in their order, BATCH at a time or FEW rollouts."""
+    """The tasks in order, in batches of at most BATCH tasks or FEW rollouts."""
     batch, load = list[Task](), 0
     for task in tasks:
         rollouts = sum(stop - start for wanted in task.wanted for start, stop in wanted.ids)
@@ -199,7 +202,7 @@ def _batches(tasks: Iterable[Task]) -> Iterator[list[Task]]:
 
 @dataclass
 class _Open:
-    """A job of which tasks are still out."""
+    """A job with unfinished tasks."""
 
     job: Job
     keys: tuple[str, ...]
@@ -225,7 +228,7 @@ class _Run:
     earlier: int = 0
 
     def tasks(self, jobs: Iterable[Job]) -> Iterator[Task]:
-        """The tasks of one job after the other; a job that lacks nothing is finished on the spot."""
+        """The tasks of one job after the other; a job without missing ids is finished at once."""
         for job in jobs:
             team = self.places.team(job.case)
             wanted = [self._wanted(job, team, model) for model in job.models]
@@ -253,11 +256,13 @@ class _Run:
         return Wanted(key, model, missing, job.exact_seconds)
 
     def take(self, task: Task, results: list[RunResult]) -> None:
-        """Keep a task's results; finish its job when it was the last one."""
+        """Store a task's results; finish its job after its last task."""
         opened = self.out[task.ticket]
+        # Another process may have stored overlapping ids meanwhile: the job then runs again.
         opened.lost |= bool(self.store.add(results))
         opened.left -= 1
         self.rollouts += sum(tally.rollouts for result in results for tally in result.tallies)
+        # A job is finished only after its last task.
         if opened.left:
             return
         del self.out[task.ticket]
@@ -273,19 +278,20 @@ class _Run:
             self.progress(Done(self.jobs, self.total, job, keys, self.rollouts, seconds))
 
     def finished(self, partial: bool = False) -> Finished:
-        """How it ended."""
+        """The summary."""
         seconds = time.perf_counter() - self.clock
         return Finished(self.jobs, self.rollouts, self.reused, seconds, partial, self.earlier)
 
 
 def share_of(team: Team) -> int:
-    """Rollouts of a model in one task: whole blocks where rollouts are quick. No count depends on it."""
+    """Rollouts of a model in one task: whole blocks if rollouts are fast. Counts do not depend on it."""
     share = SHARE * 400 // max(400, team.world.threat.size)
+    # Whole blocks avoid a merge of two parts of one block in the store.
     return share // BLOCK * BLOCK if share >= BLOCK else max(share, LEAST_SHARE)
 
 
 def _split(wanted: list[Wanted], share: int) -> list[tuple[Wanted, ...]]:
-    """The wanted ids in tasks of at most `share` a model, cut at multiples of `share`."""
+    """The wanted ids in tasks of at most `share` for each model, cut at multiples of `share`."""
     tasks: dict[int, list[Wanted]] = {}
     for each in wanted:
         for number, ids in groupby(cut(each.ids, share), lambda part: part[0] // share):
@@ -293,45 +299,42 @@ def _split(wanted: list[Wanted], share: int) -> list[tuple[Wanted, ...]]:
     return [tuple(tasks[number]) for number in sorted(tasks)]
 
 
-# Runs of a store that follow rules which a later release changed (`planner.world.features`): told apart, and never
-# mixed.
+# Runs whose simulation rules a later release changed (`planner.world.features`) are never mixed with others.
 #
-# Runs by the rules of release 0.4, where an earlier release had others, have the label RULES. A sweep gives this label
-# to
-# the earlier runs that it leaves alone, and so it is with other runs of the same setting, which differ in the map
-# alone.
+# Runs that follow rules changed in 0.4 have the label RULES. A sweep adds this label to the earlier runs that it does
+# not use; `results` infers it for other runs of the same setting, which differ only in the map.
 
 MAP_LABELS = ("map", "rollout_seed")
-"""Labels that tell the maps of a setting apart; all others tell settings apart."""
+"""Labels that distinguish maps of one setting; all others distinguish settings."""
 EARLIER, LATEST = RELEASES[BEFORE], RELEASES[NOW]
 DETECTOR = re.compile(r"~[0-9a-f]+\[.+\]")
-"""In the identity of a world whose robots have a detector."""
+"""Pattern in the identity of a world whose robots have a detector."""
 CHANGES = "?"
-"""In the identity of a world whose threats change, move, or are in doubt."""
+"""Mark in the identity of a world whose threats change, move, or are uncertain."""
 
 
 def setting_of(what: Mapping[str, Label]) -> str:
-    """What all maps of a run's setting share."""
+    """Identity of a run's setting, common to all maps."""
     return canonical({name: value for name, value in what.items() if name not in (*MAP_LABELS, RULES)})
 
 
 class Older:
-    """What is known of a store's runs by earlier rules. `settings`: those of which it has runs by the latest rules."""
+    """Finds a store's runs with earlier rules. `settings`: those with runs by the latest rules."""
 
     def __init__(self, store: Store) -> None:
         self.settings = {setting_of(what) for what in store.labels() if what.get(RULES) == LATEST}
 
     def labelled(self, run: Run) -> Run:
-        """The run with the label EARLIER, if that is what it is."""
+        """The run, with the label EARLIER if it follows earlier rules."""
         if RULES in run.what or setting_of(run.what) not in self.settings:
             return run
         return replace(run, what=run.what | {RULES: EARLIER})
 
 
 def is_older(run: Run, store: Store, homes: dict[str, bool]) -> bool | None:
-    """Whether a run without the label RULES follows rules that release 0.4 changed; None: it may.
+    """Whether a run without the label RULES follows rules that release 0.4 changed; None: possibly.
 
-    `homes`: by setting whether robots come home, of settings that were asked about: a block is read for the first.
+    `homes`: cache by setting, whether robots return to base; one block is read for each setting.
     """
     what, world = run.what, str(run.facts["world"])
     if what.get("loop") == "closed":
@@ -343,21 +346,21 @@ def is_older(run: Run, store: Store, homes: dict[str, bool]) -> bool | None:
             homes[setting] = tally is not None and len(tally.home) > 0
         if homes[setting]:
             return True
-    told = what.get("plan_on")
+    plan_on = what.get("plan_on")
     if what.get("phases") is not None:
-        return told in (None, "now")
+        return plan_on in (None, "now")
     if what.get("moving_threats") is not None:
-        return told is None
+        return plan_on is None
     in_doubt = any(what.get(name) is not None for name in ("latent_hazard", "map_uncertainty"))
     return None if CHANGES in world and not in_doubt else False
 
 
 def older_note(sure: int, unsure: int) -> list[str]:
-    """What is to be said of so many runs that follow, and that may follow, rules which release 0.4 changed."""
+    """The note on runs that follow, and that may follow, rules changed in release 0.4."""
     if not sure + unsure:
         return []
     follow = "follows" if sure == 1 else "follow"
     parts = [f"{counted(sure, 'run')} {follow} rules that release 0.4 changed"] if sure else []
-    parts += [f"{counted(unsure, 'run')} may, if threats change with time or `plan_on` is left out"] if unsure else []
+    parts += [f"{counted(unsure, 'run')} may, if threats change with time or `plan_on` is not set"] if unsure else []
     changed = "phases, detectors, return home, moving threats"
     return [f"{', and '.join(parts)} ({changed}): run the sweep again to renew them"]

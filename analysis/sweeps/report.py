@@ -1,4 +1,4 @@
-"""What `mrac-jax sweep` and `results` say: a row a setting, its means over maps, and curves over the settings."""
+"""Reports of `mrac-jax sweep` and `results`: a row for each setting with means over maps, and curves over settings."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ CHARTS = ("visited", "survived", "time", "complete")
 PICTURES = ("visited", "time")
 MOST_LINES = 2 * COLOURS
 SHOWN_ROWS, PAGE_ROWS = 200, 2000
-"""Rows of a table on the terminal, and on a page; CSV and JSON have all."""
+"""Rows of a table on the terminal, and on a page; CSV and JSON have all rows."""
 
 
 def report(answer: Sweep | Results) -> Report:
-    """The rows, and of a sweep what was run and whether it was enough."""
+    """The rows, and for a sweep its progress and precision."""
     return of_sweep(answer) if isinstance(answer, Sweep) else of_results(answer)
 
 
 def of_sweep(sweep: Sweep) -> Report:
-    """The least and the most covered of the settings; the rows; curves over the settings."""
+    """The lowest and highest coverage of the settings; the rows; curves over the settings."""
     spec, rows = sweep.spec, sweep.rows
     settings: dict[str, Label] = {"sweep": spec.source.name, "maps": spec.maps or 1, "rollouts a map": spec.rollouts}
     settings |= {f"base: {name}": str(value) for name, value in spec.base.items()}
@@ -61,7 +61,7 @@ def of_sweep(sweep: Sweep) -> Report:
 
 
 def of_results(results: Results) -> Report:
-    """How many runs were found, what they share, and the rows."""
+    """The number of runs, their common labels, and the rows."""
     common = ", ".join(f"{name} {shown(value)}" for name, value in results.common.items())
     said = f"{counted(results.runs, 'run')}{': ' if common else ''}{common}"
     parts = [_rows_part(results.rows)]
@@ -69,7 +69,7 @@ def of_results(results: Results) -> Report:
 
 
 def headline(sweep: Sweep) -> str:
-    """What came out, in one sentence: the least and the most covered of the settings."""
+    """The result in one sentence: the lowest and highest coverage of the settings."""
     low, high = (pick(sweep.rows, key=lambda row: row.estimate("visited").mean) for pick in (min, max))
     on = "one map" if sweep.spec.maps is None else f"a mean over {counted(high.maps, 'map')}"
     if low is high:
@@ -79,7 +79,7 @@ def headline(sweep: Sweep) -> str:
 
 
 def named(row: Row) -> str:
-    """A row's labels in words."""
+    """A row's labels as text."""
 
     def said(name: str, value: Label | None) -> str:
         team = name == "robots" and isinstance(value, int)
@@ -89,7 +89,7 @@ def named(row: Row) -> str:
 
 
 def done_words(sweep: Sweep) -> str:
-    """How much was done, and how sure it is, in one sentence."""
+    """The work done and the precision reached, in one sentence."""
     finished = sweep.finished
     on = "one map" if sweep.spec.maps is None else counted(max(row.maps for row in sweep.rows), "map")
     ran = f"{counted(finished.rollouts, 'rollout')} run" if finished.rollouts else "nothing to run"
@@ -102,7 +102,7 @@ def done_words(sweep: Sweep) -> str:
 
 
 def notes_of(sweep: Sweep) -> list[str]:
-    """What a user should know about precision: where the spread comes from, and whether it was enough."""
+    """Notes on precision: the source of the spread, and whether the target was reached."""
     notes = []
     share = sweep.within_share
     if share is not None:
@@ -110,39 +110,39 @@ def notes_of(sweep: Sweep) -> list[str]:
         noise = f"{100 * share:.1f} % of the spread between maps is noise of the rollouts"
         notes.append(f"where the interval is widest, {noise}: {what} narrow it")
     if not sweep.reached and not sweep.partial:
-        notes.append(f"{argument('precision')} was not reached with all maps and rollouts that there are")
+        notes.append(f"{argument('precision')} was not reached with the largest numbers of maps and rollouts")
     for outcome in (Outcome.STEP_LIMIT, Outcome.DEADLINE):
         cut = sum(row.outcomes[outcome.word] for row in sweep.rows)
         if cut:
             notes.append(f"{counted(cut, 'rollout')} ended by {outcome.word}: the mission {outcome.clause}")
     if earlier := sweep.finished.earlier:
         notes.append(
-            f"the store holds {counted(earlier, 'run')} of these by rules that release 0.4 changed: left as they are, "
-            f"and not used here (in `results` they are those with {RULES} {RELEASES[BEFORE]})"
+            f"the store holds {counted(earlier, 'run')} of these by rules that release 0.4 changed: they are kept, "
+            f"and not used here (in `results` they have the label {RULES} {RELEASES[BEFORE]})"
         )
     return notes
 
 
 def _rows_part(rows: Sequence[Row], charted: bool = False) -> Part:
-    """The table and how to read it; `charted`: with curves on a page."""
+    """The table with its notes; `charted`: with curves on a page."""
     notes, counts = list[str](), {(row.maps, row.rollouts) for row in rows}
     if len(counts) == 1:
         maps, rollouts = counts.pop()
         notes.append(f"Each row: {counted(maps, 'map')}, {counted(rollouts, 'rollout')}.")
     if any(row.difference("visited") is not None for row in rows[1:]):
-        notes.append("more than first: visited coverage less that of the first row, in points, on the same maps")
+        notes.append("more than first: visited coverage minus that of the first row, in points, on the same maps")
     if any(row.maps == 1 for row in rows):
         where = "±" if all(row.maps == 1 for row in rows) else "where there is 1 map, ±"
-        notes.append(f"{where} (95 %) is the luck of the rollouts on that map; other maps are not in it")
+        notes.append(f"{where} (95 %) is the error over rollouts on that map; it does not include other maps")
     if len(rows) > SHOWN_ROWS:
-        notes.append(f"... and {len(rows) - SHOWN_ROWS:,} more: --csv or --json has all")
+        notes.append(f"... and {len(rows) - SHOWN_ROWS:,} more: --csv and --json have all")
     whole = [rows_table(rows[:PAGE_ROWS])] if len(rows) > SHOWN_ROWS else []
     drawn = partial(_charts, rows, CHARTS) if charted and len(lines_of(rows)[2]) < len(rows) else tuple
     return Part("Results", [rows_table(rows[:SHOWN_ROWS])], notes, drawn=drawn, whole=whole)
 
 
 def rows_table(rows: Sequence[Row]) -> Table:
-    """One line a row: means with half the width of their 95 % intervals."""
+    """One line for each row: means with half the width of their 95 % intervals."""
     names = list(dict.fromkeys(name for row in rows for name in row.labels))
     counts = [(row.maps, row.rollouts) for row in rows]
     uneven, compared = len(set(counts)) > 1, any(row.difference("visited") is not None for row in rows[1:])
@@ -165,7 +165,7 @@ def rows_table(rows: Sequence[Row]) -> Table:
 
 
 def percent(estimate: Estimate, unit: str = "") -> str:
-    """A fraction with its interval, in percent; `unit`: said after the mean, or after the half-width."""
+    """A fraction with its interval, in percent; `unit` follows the mean, or the half-width."""
     return estimate.around(100, most=100, digits=2 if estimate.half_width < 0.01 else 1, unit=unit)
 
 
@@ -189,16 +189,16 @@ def rows_chart(rows: Sequence[Row], figure: str) -> Chart:
     )  # fmt: skip
     whole, maps = all(at == int(at) for points in lines.values() for at, _ in points), [row.maps for row in rows]
     over = "mean over " + (f"{min(maps):,} to " if min(maps) < max(maps) else "") + counted(max(maps), "map")
-    more = f"; {len(lines) - MOST_LINES} lines more are left out" if len(lines) > MOST_LINES else ""
+    more = f"; {len(lines) - MOST_LINES} further lines are omitted" if len(lines) > MOST_LINES else ""
     look: dict[str, Any] = {"unit": "%", "digits": 2, "y_range": (0.0, 100.0)} if figure in PERCENT else {}
     return Chart(NAMES[figure], series, axis.replace("_", " "), over + more, x_whole=whole,
                  x_digits=0 if whole else 2, x_words=words, **look)  # fmt: skip
 
 
 def lines_of(rows: Sequence[Row]) -> tuple[str, tuple[str, ...], dict[str, list[tuple[float, Row]]]]:
-    """(name of the abscissa, its words where it is no number, lines by name: rows from left to right with abscissae).
+    """(name of the abscissa, its words if it is not a number, lines by name: rows with abscissae from left to right).
 
-    The abscissa is the first setting of numbers, else the first: its words take the places 0, 1, 2, ...
+    The abscissa is the first numeric setting, else the first setting: its words have the positions 0, 1, 2, ...
     """
     names = list(dict.fromkeys(name for row in rows for name in row.labels))
     numeric = [name for name in names if all(_is_number(row.labels.get(name)) for row in rows)]
@@ -218,7 +218,7 @@ def _is_number(value: object) -> bool:
 
 
 def row_json(row: Row) -> Json:
-    """Coverage as fractions, time in steps; what is undefined is None."""
+    """Coverage as fractions, time in steps; undefined values are None."""
     return {
         "setting": row.labels,
         "maps": row.maps,
@@ -233,7 +233,7 @@ def row_json(row: Row) -> Json:
 
 
 def sweep_json(sweep: Sweep) -> Json:
-    """The spec's settings as they were run, the rows, what was run and found in the store."""
+    """The settings of the sweep, the rows, and the numbers of simulated and reused rollouts."""
     spec, finished = sweep.spec, sweep.finished
     return {
         "spec": str(spec.source),
@@ -256,9 +256,9 @@ def sweep_json(sweep: Sweep) -> Json:
 
 
 def results_json(results: Results) -> Json:
-    """Which store, what its runs share, and the rows."""
-    told = {name: getattr(results, name) for name in ("store", "runs", "common", "pooled", "notes")}
-    return {**told, "settings": [row_json(row) for row in results.rows]}
+    """The store, the common labels of its runs, and the rows."""
+    fields = {name: getattr(results, name) for name in ("store", "runs", "common", "pooled", "notes")}
+    return {**fields, "settings": [row_json(row) for row in results.rows]}
 
 
 def rows_csv(rows: Sequence[Row]) -> str:

@@ -1,4 +1,4 @@
-"""What a store holds, as rows: means over maps of grouped runs, and figures map by map for settings to compare."""
+"""Results of a store: rows of means over maps, flat files of runs, and figures map by map for paired comparisons."""
 
 from __future__ import annotations
 
@@ -38,25 +38,24 @@ from planner.formatting import counted
 from planner.simulator.codes import Outcome
 from planner.tally import Tally, counts_by_word
 
-# What a store holds, as rows: runs filtered and grouped by their labels, each group a mean over its maps.
-
-# Means over maps, with intervals from the spread between maps.
+# Means over maps, with intervals from the variance between maps.
 #
-# A map's mean is one observation: the interval of the mean over maps is Student's t of the map means, so the noise of
-# the rollouts within each map is in it too. That noise is taken down by the rollouts' luck, which is known
-# (`analysis.statistics.variance_reduction`). The share of the variance that comes from within says what is worth more
-# of: maps, or rollouts on each.
+# The mean of one map is one observation. The interval is Student's t of the map means, so it includes the noise of the
+# rollouts within each map. The control variate reduces that noise (`analysis.statistics.variance_reduction`). The share
+# of the variance within maps tells whether more maps or more rollouts narrow the interval.
 
 
 class Moments:
-    """Map means of several figures beside their luck, added map by map; constant memory. Axes `F` figures, `L` BESIDE.
+    """Map means of several figures with control variates, added map by map in constant memory.
+
+    Axes: `F` figures, `L` BESIDE: the figure, then its control variates.
 
     Attributes:
-        maps: how many. mean: of the map means, float64 `[F, L]`.
-        scatter, lean: sums of the products of two and of three of their distances from it, `[F, L, L]`, `[F, L, L, L]`.
-        within: sum of the covariances of the errors of the single map means, `[F, L, L]`.
-        freedom: rollouts that tell what luck is worth, of each map one less.
-        shared: squared standard error of the mean by luck that the maps share, which their spread does not show, `[F]`.
+        maps: number. mean: of the map means, float64 `[F, L]`.
+        scatter, lean: second and third central moments of the map means, as sums, `[F, L, L]`, `[F, L, L, L]`.
+        within: sum of the error covariances of the map means, `[F, L, L]`.
+        freedom: degrees of freedom of the slopes, each map's rollouts less one.
+        shared: squared standard error of the mean from random numbers that maps share, which `scatter` lacks, `[F]`.
     """
 
     def __init__(self, figures: int, beside: int = BESIDE) -> None:
@@ -66,13 +65,14 @@ class Moments:
         self.within, self.shared = np.zeros_like(self.scatter), np.zeros(figures)
 
     def add(self, means: NDArray[np.float64], errors: NDArray[np.float64] | float, freedom: int = 0) -> None:
-        """One more map: its means `[F, L]`, the covariances of their errors `[F, L, L]`, and its share of `freedom`."""
+        """Add a map: its means `[F, L]`, the covariances of their errors `[F, L, L]`, and its share of `freedom`."""
         self.maps += 1
         self.freedom += freedom
         step = means - self.mean
         share = step / self.maps
         grows = np.einsum("fa,fb->fab", step, share) * (self.maps - 1)
         turned = np.einsum("fa,fbc->fabc", share, self.scatter)
+        # Update formulas of Pebay (2008) for the second and third central moments.
         self.mean += share
         self.lean += np.einsum("fa,fbc->fabc", share, grows) * (self.maps - 2)
         self.lean -= turned + turned.transpose(0, 2, 1, 3) + turned.transpose(0, 2, 3, 1)
@@ -80,11 +80,11 @@ class Moments:
         self.within += errors
 
     def weights(self, place: int) -> NDArray[np.float64]:
-        """(1, -b) `[L]` of the figure at `place`; no control where maps share their luck."""
+        """(1, -b) `[L]` of the figure at `place`; no control variate if maps share random numbers."""
         return weights_of(self.within[place], 0 if self.shared.any() else self.freedom)
 
     def within_share(self, place: int) -> float | None:
-        """Fraction of the variance of the map means that is noise of the rollouts within a map; None if unknown."""
+        """Share of the variance of the map means that is noise of the rollouts within maps; None if unknown."""
         weights = self.weights(place)
         scatter, within = (float(weights @ of[place] @ weights) for of in (self.scatter, self.within))
         if self.maps < 2 or scatter <= 0:
@@ -94,10 +94,9 @@ class Moments:
     def estimate(self, place: int, low: float, high: float, weights: NDArray[np.float64] | None = None) -> Estimate:
         """Mean over maps of the figure at `place`, its standard error and 95 % interval, clipped to `low .. high`.
 
-        Student's t over two maps or more, widened for maps of a rare kind, by the figure with the control or without,
-        as `analysis.statistics.estimates.mean_estimate` is for rare events; where every map gave the same, the rule of
-        three. For a single map: the noise of its rollouts, and it speaks of that map alone. `weights`: in the place of
-        the figure's own.
+        With two maps or more: Student's t, widened for rare kinds of maps, by the figure with or without the control
+        variate, as in `analysis.statistics.estimates.mean_estimate`; if all maps agree, the rule of three. With one
+        map: the noise of its rollouts, for that map alone. `weights` replaces the figure's own weights.
         """
         if self.maps == 0:
             raise ValueError("no maps to estimate from")
@@ -113,7 +112,7 @@ class Moments:
             if scatter > 0:
                 rare = float(np.einsum("abc,a,b,c", self.lean[place], by, by, by)) / scatter / maps
                 alone = self.lean[place, 0, 0, 0] / max(self.scatter[place, 0, 0], NEGLIGIBLE * scatter) / maps
-                missed = MISSED * max(rare**2, alone**2)  # what luck explains does not make a rare map likelier seen
+                missed = MISSED * max(rare**2, alone**2)  # the control variate does not reveal unseen rare maps
                 half = float(stdtrit(maps - 1, 0.975)) * math.sqrt(squared + missed)
             se = math.hypot(math.sqrt(squared), math.sqrt(shared))
             half = math.hypot(half, Z95 * math.sqrt(shared))
@@ -121,28 +120,29 @@ class Moments:
         return Estimate(mean, se, (max(mean - half, low), min(mean + half, high)))
 
 
-# Rows of results: one setting each, its figures as means over maps, whoever made them (`sweep` or `results`).
+# Rows of results: one setting with its figures as means over maps, for `sweep` and `results`.
 
 FRACTIONS = ("visited", "survived", "visited_of_free", "survived_of_free")
 FIGURES = (*FRACTIONS, "complete", "time", "alive")
-"""What runs are summed up in: coverage as a fraction of the accessible or of the free cells, the fraction of rollouts
-that covered everything, time in steps, robots alive at the end."""
+"""Figures of runs: coverage as a fraction of the accessible or of the free cells, the fraction of rollouts that covered
+everything, time in steps, robots alive at the end."""
 EXACT = ("visited", "survived")
 REACH = {"alive": "robots", "time": "longest"}
-"""What a run says of how large a figure of its may be; coverage and chances are 1 at most."""
+"""Facts of a run that bound a figure; coverage and chances are at most 1."""
 KEPT = {name: place for place, name in enumerate((*FIGURES, *(f"exact {n}" for n in EXACT), "ideal", *REACH.values()))}
-"""Places of what a row's moments are of. `exact`: the open loop's values; `ideal`: of the team, as coverage is."""
+"""Index of each mean in a row's moments. `exact`: of the open loop; `ideal`: upper bound of the team's coverage."""
 DIFFERENCES = ("visited", "time")
 
 
 @dataclass(eq=False)
 class Row:
-    """One setting's answer.
+    """The results of one setting.
 
     Attributes:
-        labels: what it is. rollouts: how many. outcomes: rollouts by the word of each. moments: of KEPT.
-        apart: of DIFFERENCES, from the first row on the same maps, beside the luck of both. first: that row's moments.
-        single: estimates of a single map's rollouts, by name (FIGURES); empty where there are several maps.
+        labels: of the setting. rollouts: number. outcomes: rollouts by outcome. moments: of KEPT.
+        apart: of DIFFERENCES from the first row on the same maps, with the control variates of both. first: that row's
+            moments.
+        single: estimates of a single map's rollouts, by figure; empty if there are several maps.
     """
 
     labels: dict[str, Label]
@@ -160,7 +160,7 @@ class Row:
         freedom: int,
         first: NDArray[np.float64] | None = None,
     ) -> None:
-        """One more map, as of `Moments.add`; `first`: the first row's means on it."""
+        """Add a map, see `Moments.add`; `first`: the first row's means on it."""
         self.moments.add(means, errors, freedom)
         if first is not None:
             here, there = (of[[KEPT[name] for name in DIFFERENCES]] for of in (means, first))
@@ -168,24 +168,24 @@ class Row:
 
     @property
     def maps(self) -> int:
-        """How many."""
+        """Number of maps."""
         return self.moments.maps
 
     def estimate(self, name: str) -> Estimate:
-        """The mean of one of KEPT over maps, or of a figure over the rollouts of a single map."""
+        """The mean over maps of one of KEPT, or of a figure over the rollouts of a single map."""
         return self.single.get(name) or self.moments.estimate(KEPT[name], 0.0, self.reach(name))
 
     def known(self, name: str) -> Estimate | None:
-        """The mean over maps of one of KEPT that is known of a plan without rolling out; None where it is not."""
+        """The mean over maps of one of KEPT that is exact for the plan; None if it is unknown."""
         found = self.estimate(name)
         return found if isfinite(found.mean) else None
 
     def reach(self, name: str) -> float:
-        """How large a figure may be on a map like these."""
+        """Upper bound of a figure on maps of this row."""
         return float(self.moments.mean[KEPT[REACH[name]], 0]) if name in REACH else 1.0
 
     def difference(self, name: str) -> Estimate | None:
-        """What it has more of than the first row, "visited" or "time", on the maps that both have; None of that row."""
+        """ "visited" or "time" minus that of the first row, on the maps that both have; None for the first row."""
         if self.apart.maps < 2 or self.first is None or self.first is self.moments:
             return None
         reach, (mine, theirs) = self.reach(name), (of.weights(KEPT[name]) for of in (self.moments, self.first))
@@ -194,14 +194,14 @@ class Row:
 
     @property
     def within_share(self) -> float | None:
-        """Share of the rollouts' noise in the variance of the map means of visited coverage."""
+        """Share of rollout noise in the variance of the map means of visited coverage."""
         return self.moments.within_share(KEPT["visited"])
 
 
 def figures_of(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What a run says about its map: means of KEPT beside its luck `[KEPT, L]`, and the covariances of their errors.
+    """Means of KEPT on a run's map with control variates `[KEPT, L]`, and the covariances of their errors.
 
-    Where the closed loop is known exactly, that, without an error.
+    If the closed loop's expectations are exact, they are used, with errors 0.
     """
     facts, ideal = run.facts, run.facts["ideal_team"]
     assert run.sums is not None
@@ -223,21 +223,21 @@ def figures_of(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def is_exact(run: Run) -> bool:
-    """Whether the means of its closed loop are known exactly."""
+    """Whether the expectations of its closed loop are exact."""
     return bool(run.facts.get("closed_loop"))
 
 
 def outcomes_of(run: Run) -> Counter[str]:
-    """Rollouts by the word of each outcome.
+    """Rollouts by outcome.
 
-    Whether the deadline cut them off is among the run's facts; stores of 0.3 know a deadline only as a label.
+    The run's facts hold whether the deadline ended rollouts; stores of 0.3 hold a deadline only as a label.
     """
     deadline = "deadline" in run.facts or run.what.get("deadline") is not None
     return Counter(counts_by_word(() if run.sums is None else run.sums["outcomes"], deadline))
 
 
 def figure_of(run: Run, name: str) -> tuple[float, float]:
-    """(mean over a run's rollouts, square of that mean's standard error) of a figure; 0 for a single rollout."""
+    """(mean over a run's rollouts, squared standard error of that mean) of a figure; error 0 for a single rollout."""
     assert run.sums is not None
     n = run.sums["rollouts"]
     if name == "complete":
@@ -245,18 +245,18 @@ def figure_of(run: Run, name: str) -> tuple[float, float]:
         return p, p * (1 - p) / max(n - 1, 1)
     first, second = run.sums[name.removesuffix("_of_free")]
     mean, unit = first / n, unit_of(run, name)
-    scatter = (second * n - first * first) / n  # whole numbers: exact until divided
+    scatter = (second * n - first * first) / n  # integers, exact before the division
     return mean * unit, scatter / max(n - 1, 1) / n * unit * unit
 
 
 def exact_of(run: Run, name: str) -> float:
-    """The open loop's exact mean of a figure of a run; NaN if it is not known."""
+    """The open loop's exact mean of a figure of a run; NaN if unknown."""
     value = run.facts["exact"][name.removesuffix("_of_free")]
     return nan if value is None else float(value) * unit_of(run, name)
 
 
 def unit_of(run: Run, name: str) -> float:
-    """What one cell, step or robot of a figure counts."""
+    """The factor from cells, steps or robots to the unit of a figure."""
     if name not in FRACTIONS:
         return 1.0
     cells = run.facts["cells"]
@@ -264,7 +264,7 @@ def unit_of(run: Run, name: str) -> float:
 
 
 def longest_of(run: Run) -> int:
-    """Steps that a rollout takes at most; T_max of as many levels as there may be where an older store does not say."""
+    """Upper bound of a rollout's steps; older stores lack it: then T_max for the largest possible number of levels."""
     facts, cells = run.facts, run.facts["cells"]
     if "longest" in facts:
         return int(facts["longest"])
@@ -272,10 +272,11 @@ def longest_of(run: Run) -> int:
 
 
 def single_map(run: Run, tally: Tally) -> dict[str, Estimate]:
-    """Estimates of one run's rollouts, as `evaluate` makes them: they hold for rare events and do not collapse."""
+    """Estimates of one run's rollouts as in `evaluate`, valid for rare events."""
     found = {"complete": complete_chance(tally)}
     for name in FIGURES:
         if name != "complete":
+            # The bound of the time guards its interval against unseen values.
             most = longest_of(run) if name == "time" else None
             found[name] = tally_mean(tally, name.removesuffix("_of_free"), unit_of(run, name), most)
     return found
@@ -284,21 +285,20 @@ def single_map(run: Run, tally: Tally) -> dict[str, Estimate]:
 # Rows that pool several runs of a map: each map is averaged first, and counts once.
 #
 # Runs of a map are pooled over settings (with equal weights) and, within a setting, over rollout seeds (by rollouts).
-# Settings meet the same luck, so their errors may be one and the same: those of one seed are added up as they are,
-# which
-# no correlation exceeds; those of different seeds are independent and add in squares.
+# Settings share random numbers, so their errors may be perfectly correlated: the errors of one seed are added linearly,
+# an upper bound for any correlation. Errors of different seeds are independent and add in squares.
 
 Setting = tuple[Label, ...]
-"""A run's values of the labels that are pooled."""
+"""A run's values of the pooled labels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """What a row keeps of a run.
+    """Data of a run for its row.
 
     Attributes:
-        key: the run's. setting: its values of what is pooled. seed: of its rollouts.
-        rollouts: how many. outcomes: of them, by word. means, errors: of `figures_of`.
+        key: of the run. setting: its values of the pooled labels. seed: of its rollouts.
+        rollouts: number. outcomes: rollouts by outcome. means, errors: see `figures_of`.
     """
 
     key: str
@@ -311,16 +311,16 @@ class Part:
 
 
 def part_of(run: Run, pooled: Sequence[str]) -> Part:
-    """The part that a run is of its row; `pooled`: names of labels that vary within rows."""
+    """The part of a row from one run; `pooled`: names of labels that vary within rows."""
     setting = tuple(run.what.get(name) for name in pooled if name != "input" or "map" in run.what)
     return Part(run.key, setting, run.what.get("rollout_seed"), run.rollouts, outcomes_of(run), *figures_of(run))
 
 
 def map_of(run: Run) -> tuple[str, Label]:
-    """The map of a run, the same for all settings that a sweep tries on it.
+    """Identity of a run's map, the same for all settings of a sweep.
 
-    A generated map is its seed: the worlds of one seed share their obstacles and their luck. Otherwise it is the
-    world's content; where places of the scenario are swept, so that every setting changes that, it is the input.
+    A generated map is identified by its seed: worlds of one seed share obstacles and random numbers. Other maps are
+    identified by the world's content, or by the input if the sweep changes its scenario.
     """
     if run.what.get("map") is not None:
         return "map", run.what["map"]
@@ -330,14 +330,14 @@ def map_of(run: Run) -> tuple[str, Label]:
 
 
 def complete(maps: Iterable[list[Part]]) -> list[list[Part]]:
-    """The maps that have every setting that one of them has."""
+    """The maps that have all settings that occur."""
     maps = list(maps)
     settings = {part.setting for parts in maps for part in parts}
     return [parts for parts in maps if {part.setting for part in parts} == settings]
 
 
 def pooling_weights(parts: Sequence[tuple[Setting, int]]) -> NDArray[np.float64]:
-    """Weights of a map's (setting, rollouts), float64 that add up to 1: settings alike, within one by rollouts."""
+    """Weights of a map's (setting, rollouts), float64 that sum to 1: equal for settings, within one by rollouts."""
     totals: dict[Setting, int] = {}
     for setting, rollouts in parts:
         totals[setting] = totals.get(setting, 0) + rollouts
@@ -347,8 +347,8 @@ def pooling_weights(parts: Sequence[tuple[Setting, int]]) -> NDArray[np.float64]
 def moments_over(maps: Sequence[Sequence[Part]]) -> Moments:
     """Moments of KEPT over maps, each map an average over its parts.
 
-    Where maps share a rollout seed they may share its luck, which the spread between them does not show: that error
-    of the mean is added (`Moments.shared`).
+    Maps with the same rollout seed may share random numbers. The variance between maps lacks that error, so it is added
+    (`Moments.shared`).
     """
     found = Moments(len(KEPT))
     shared: dict[Label, list[NDArray[np.float64]]] = {}
@@ -370,8 +370,7 @@ def moments_over(maps: Sequence[Sequence[Part]]) -> Moments:
 
 
 def _errors(parts: Sequence[tuple[float, Part]]) -> NDArray[np.float64]:
-    """The covariances `[KEPT, L, L]` of a map's errors by one seed, which are added up as if they were one and the
-    same."""
+    """The covariances `[KEPT, L, L]` of a map's errors with one seed, added linearly as if perfectly correlated."""
     alone = np.sum([weight**2 * part.errors for weight, part in parts], axis=0)
     apart = np.sqrt(alone[:, 0, 0])
     together = np.sum([weight * np.sqrt(part.errors[:, 0, 0]) for weight, part in parts], axis=0)
@@ -382,13 +381,13 @@ def _errors(parts: Sequence[tuple[float, Part]]) -> NDArray[np.float64]:
 def single_over(found: Sequence[tuple[Setting, Run, Tally]]) -> dict[str, Estimate]:
     """Estimates of one map's rollouts by name, as `single_map`, pooled over its runs.
 
-    Runs that differ in their seed alone are one sample. The half-widths of others are averaged: they hold whatever the
-    luck that they share.
+    Runs that differ only in their seed form one sample. The half-widths of other runs are averaged, which is valid for
+    any correlation.
     """
     samples: dict[tuple[Setting, str], tuple[Run, Tally]] = {}
     for number, (setting, run, tally) in enumerate(found):
         name = setting, tally.key.rpartition("/")[0]
-        apart = number * MOST_ROLLOUTS  # rollouts of other seeds are other rollouts
+        apart = number * MOST_ROLLOUTS  # other seeds give independent rollouts: shift their ids
         own = replace(tally, key=name[1], ids=tuple((start + apart, stop + apart) for start, stop in tally.ids))
         samples[name] = (run, samples[name][1] + own if name in samples else own)
     weights = pooling_weights([(setting, tally.rollouts) for (setting, _), (_, tally) in samples.items()])
@@ -407,14 +406,15 @@ def _averaged(estimates: Sequence[Estimate], weights: NDArray[np.float64]) -> Es
 MOST_VALUES = 8
 
 Where = dict[str, tuple[str, ...]]
-"""Values wanted of labels, as text."""
+"""Wanted values of labels, as text."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Results(Answer):
-    """What was found: the rows in order of their labels, the labels that every run shares, and notes.
+    """The rows in order of their labels, the labels that every run shares, and notes.
 
-    `store`: its file. `runs`: how many the rows are made of. `pooled`: labels that vary within rows.
+    Attributes:
+        store: its file. runs: number of runs in the rows. pooled: labels that vary within rows.
     """
 
     reported_by = "analysis.sweeps.report:report"
@@ -429,7 +429,7 @@ class Results(Answer):
 
 
 Group = dict[tuple[str, Label], list[Part]]
-"""The runs of a row by map."""
+"""Runs of a row by map."""
 
 
 def parse_where(texts: Iterable[str]) -> Where:
@@ -446,7 +446,7 @@ def parse_where(texts: Iterable[str]) -> Where:
 
 
 def select(store: Store, where: Where) -> Iterator[Run]:
-    """The runs with rollouts whose labels have one of the values wanted."""
+    """The runs with rollouts whose labels have a wanted value."""
     older = Older(store)
     for run in map(older.labelled, store.runs()):
         fits = all(name in run.what and shown(run.what[name]) in values for name, values in where.items())
@@ -455,16 +455,19 @@ def select(store: Store, where: Where) -> Iterator[Run]:
 
 
 def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
-    """The store's runs as rows. `by`: labels that tell groups apart; none: all that vary, but for the map's.
+    """The store's runs as rows.
 
-    A row that pools settings is a mean over the maps that have all of them, and each map counts once
-    (`analysis.sweeps.results`). Raises UsageError for a label that no run has, when nothing is found, or for a row of
-    which no map has every setting.
+    Args:
+        where: wanted values of labels. by: labels that separate rows; none: all that vary, except those of the map.
+
+    A row that pools settings is a mean over the maps that have all of them; each map counts once. Raises UsageError for
+    an unknown label, if no run fits, or for a row of which no map has every setting.
     """
     seen = labels_of(store, where)
     for name in by:
         check_word("by", name, seen)
-    # Rules tell settings apart only where some are of an earlier release, and are then never averaged.
+    # Rules separate rows only if some runs follow earlier rules; these are never averaged with others.
+    # Runs of earlier rules must never be averaged with others.
     apart = EARLIER in seen.get(RULES, ())
     varying = [n for n, values in seen.items() if len(values) > 1 and n not in MAP_LABELS and (n != RULES or apart)]
     wanted = list(dict.fromkeys([*by, RULES] if apart else by)) if by else varying
@@ -483,12 +486,12 @@ def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
         maps = complete(group.values())
         said = ", ".join(f"{name} {shown(value)}" for name, value in labels.items()) or "all runs"
         if not maps:
-            fix = f"use {argument('by', [*wanted, *pooled])}, or choose some with {argument('where')}"
+            fix = f"use {argument('by', [*wanted, *pooled])}, or select some with {argument('where')}"
             expected = "maps that have all of them"
             raise UsageError(f"{said}: no map has every {' and '.join(pooled)} of the row", expected=expected, fix=fix)
         if len(maps) < len(group):
             lack = counted(len(group) - len(maps), "map")
-            notes.append(f"{said}: {lack} of {len(group):,} lack some of what is pooled and are left out")
+            notes.append(f"{said}: {lack} of {len(group):,} lack some pooled settings and are omitted")
         rows.append(_row(labels, maps, store))
         runs += sum(map(len, maps))
     common = {name: next(iter(values)) for name, values in seen.items() if len(values) == 1 and name not in wanted}
@@ -496,14 +499,14 @@ def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
 
 
 def _in_order(group: Group) -> Group:
-    """The maps by their labels, and the runs of each by theirs: sums do not depend on which was finished first."""
-    told = {name: sorted(parts, key=lambda part: [_order(one) for one in (*part.setting, part.seed)])
+    """Maps by their labels, and each map's runs by theirs, so that sums do not depend on the order of execution."""
+    ordered = {name: sorted(parts, key=lambda part: [_order(one) for one in (*part.setting, part.seed)])
             for name, parts in group.items()}  # fmt: skip
-    return dict(sorted(told.items(), key=lambda one: (one[0][0], _order(one[0][1]))))
+    return dict(sorted(ordered.items(), key=lambda one: (one[0][0], _order(one[0][1]))))
 
 
 def _pooled_notes(seen: dict[str, set[Label]], wanted: Sequence[str], pooled: Sequence[str]) -> list[str]:
-    """What every row pools, in words."""
+    """Note on the labels that every row pools."""
     if not pooled:
         return []
     parts = []
@@ -511,11 +514,11 @@ def _pooled_notes(seen: dict[str, set[Label]], wanted: Sequence[str], pooled: Se
         values = [shown(value) or "none" for value in sorted(seen[name], key=_order)]
         parts.append(f"{name}: {', '.join(values)}{', ...' if len(values) == MOST_VALUES else ''}")
     apart = argument("by", [*wanted, *pooled])
-    return [f"pooled over {'; '.join(parts)} (each map counts once; {apart} tells them apart)"]
+    return [f"pooled over {'; '.join(parts)} (each map counts once; {apart} separates them)"]
 
 
 def labels_of(store: Store, where: Where) -> dict[str, set[Label]]:
-    """The labels of the runs that fit, with up to a few values each. Raises UsageError if there are none."""
+    """The labels of the runs that fit, with a few values each. Raises UsageError if no run fits."""
     seen: dict[str, set[Label]] = {}
     found = 0
     for found, run in enumerate(select(store, where), start=1):
@@ -529,10 +532,10 @@ def labels_of(store: Store, where: Where) -> dict[str, set[Label]]:
 
 
 def _nothing(store: Store, where: Where) -> UsageError:
-    """The error when no run fits: an empty store, an unknown name, or values that no run has."""
+    """The error if no run fits: an empty store, an unknown name, or values that no run has."""
     source = store.path or "store"
     if not where or not any(True for _ in select(store, {})):
-        return UsageError("holds no rollouts", source=source, fix="`mrac-jax sweep` fills it")
+        return UsageError("holds no rollouts", source=source, fix="run `mrac-jax sweep` first")
     seen = labels_of(store, {})
     for name in where:
         check_word("where", name, seen)
@@ -565,7 +568,7 @@ def _order(value: Label) -> tuple[int, float, str]:
 
 BATCH = 1000
 WHOLE, LARGE, NUMBER, TEXT = range(4)
-"""Kinds of columns, the narrower first."""
+"""Kinds of columns, narrowest first."""
 OUTCOMES = tuple(outcome.word for outcome in Outcome)
 COUNTS = ("rollouts", *OUTCOMES, "height", "width", "accessible", "free", "dangerous", "makespan")
 NUMBERS = (
@@ -598,7 +601,7 @@ def flat(run: Run, labels: list[str]) -> Json:
 
 
 def write_csv(store: Store, where: Where, path: Path) -> None:
-    """Write the runs that fit as CSV, whole or not at all. Raises InputError."""
+    """Write the runs that fit as CSV, completely or not at all. Raises InputError."""
     labels = list(labels_of(store, where))
     with atomic_write(path) as out:
         writer = csv.DictWriter(out, [*labels, *COUNTS, *NUMBERS, *TEXTS], lineterminator="\n")
@@ -607,7 +610,7 @@ def write_csv(store: Store, where: Where, path: Path) -> None:
 
 
 def write_parquet(store: Store, where: Where, path: Path) -> None:
-    """The same as Parquet: labels of whole numbers as int64, of numbers as float64, of others as text."""
+    """As `write_csv` in Parquet: integer labels as int64, other numbers as float64, other labels as text."""
     try:
         import pyarrow
         from pyarrow import parquet
@@ -631,7 +634,7 @@ def write_parquet(store: Store, where: Where, path: Path) -> None:
 
 
 def _label_kinds(store: Store, where: Where) -> dict[str, int]:
-    """The narrowest kind that holds every value of each label."""
+    """The narrowest kind that holds all values of each label."""
     kinds = dict.fromkeys(labels_of(store, where), WHOLE)
     for run in select(store, where):
         for name in kinds:

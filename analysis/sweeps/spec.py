@@ -1,15 +1,15 @@
-"""A sweep file: what is crossed with what, on how many maps, as jobs in order of maps.
+"""A sweep file: settings to cross, on how many maps, as jobs in order of maps.
 
-    base: {kind: contiguous, size: 20x20}    # settings for all: names of SETTINGS; `input: FILE` for another world
-    maps: 50                                 # random maps; with an input: of its `generate` threats, else left out
-    first_seed: 0                            # of the first map
-    rollouts: 1000                           # of each setting on each map
-    seed: 0                                  # of the rollouts on the first map
-    sweep:                                   # crossed in the order given, each a list of values
-      robots: [1, 2, 4]                      # names: SETTINGS; or a place in the scenario, as "threats[0].scale"
+    base: {kind: contiguous, size: 20x20}    # common settings: names of SETTINGS; `input: FILE` for another world
+    maps: 50                                 # number of random maps; with an input: of its `generate` threats
+    first_seed: 0                            # seed of the first map
+    rollouts: 1000                           # for each setting on each map
+    seed: 0                                  # seed of the rollouts on the first map
+    sweep:                                   # crossed in the given order, each a list of values
+      robots: [1, 2, 4]                      # names: SETTINGS; or a path in the scenario, as "threats[0].scale"
 
-Common random numbers: every setting meets the same maps (world seeds `first_seed ..`), and on map i the same rollouts
-(seed `seed + i`), so that differences between settings are sharp.
+Common random numbers: all settings have the same maps (world seeds `first_seed ..`), and on map i the same rollouts
+(seed `seed + i`), so that differences between settings have a small variance.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from typing import Any
 
 from analysis.inputs import input_path, map_size
 from analysis.sampling import RolloutChoices
-from analysis.sweeps.cases import BESIDE, MOST_MAPS, Case, Generated, Label, Places, Written, canonical
+from analysis.sweeps.cases import MOST_MAPS, SCENARIO_KEYS, Case, Generated, Label, Places, Written, canonical
 from analysis.sweeps.engine import Job
 from planner.arguments import ANY, FRACTION, MOST_ROLLOUTS, Numbers, did_you_mean, whole
 from planner.errors import PER_VISIT, RENAMED, InputError, ScenarioError, UsageError, with_new_names
@@ -38,13 +38,13 @@ from planner.settings import OPTIONS, Choices, Setting
 from planner.settings import SETTINGS as PLANNER_SETTINGS
 from planner.world.keys import PLACE, Key, read_yaml
 
-# The settings of a sweep by name: what values each takes, and how they become worlds, cases and models.
+# The settings of a sweep by name, with readers of their values; and their worlds, cases and models.
 
 Reader = Callable[[Key], Any]
 
 
 def _starts(key: Key) -> tuple[tuple[int, int], ...]:
-    expected = "[[row, col], ...], one pair a robot"
+    expected = "[[row, col], ...], one pair for each robot"
     pairs = [item.numbers(PLACE, expected, 2) for item in key.items(expected)]
     return tuple((row, col) for row, col in pairs)
 
@@ -61,8 +61,8 @@ def _size(key: Key) -> tuple[int, int]:
 
 
 def _input(key: Key) -> str:
-    name = key.text("an INPUT, as of `evaluate`")
-    return str(input_path(name)) if name.startswith("example:") else str(key.file("an INPUT, as of `evaluate`"))
+    name = key.text("an INPUT, as in `evaluate`")
+    return str(input_path(name)) if name.startswith("example:") else str(key.file("an INPUT, as in `evaluate`"))
 
 
 def _word(*words: str) -> Reader:
@@ -88,11 +88,11 @@ WORLD: dict[str, Reader] = {
     "areas": _one_of(whole(1)),
     "threat_levels": _levels,
 }
-"""Of the paper's random worlds, and of an input's generated threats."""
+"""For the paper's random worlds, and for an input's generated threats."""
 PAPER: dict[str, Reader] = {"obstacles": _one_of(FRACTION), "size": _size}
-"""Of the paper's random worlds alone."""
-UNSAID: dict[str, Reader] = {name: lambda key: key.value for name in BESIDE}
-"""Keys of a scenario, of any world; null: without it."""
+"""For the paper's random worlds only."""
+UNSAID: dict[str, Reader] = {name: lambda key: key.value for name in SCENARIO_KEYS}
+"""Keys of a scenario, for any world; null removes the key."""
 TEAM: dict[str, Reader] = {
     "robots": _one_of(OPTIONS["robots"].numbers),
     "starts": _starts,
@@ -106,19 +106,19 @@ MODEL: dict[str, Reader] = {
     "seed": _one_of(OPTIONS["seed"].numbers),
 }
 SETTINGS = {**INPUT, **WORLD, **PAPER, **UNSAID, **TEAM, **PLANNER, **MODEL}
-PLACES = ("map", "cell_size", "unknown", "threats", "combine", "true_map", *BESIDE)
-"""Keys of a scenario in which a place may be swept: `threats[0].scale`."""
+PLACES = ("map", "cell_size", "unknown", "threats", "combine", "true_map", *SCENARIO_KEYS)
+"""Keys of a scenario in which a path may be swept: `threats[0].scale`."""
 PART = re.compile(r"([A-Za-z_][A-Za-z_0-9]*)|\[([0-9]+)\]")
 
 
 def is_path(name: str) -> bool:
-    """True for a place within a scenario, as `threats[0].scale` or `cell_size`."""
+    """True for a path within a scenario, as `threats[0].scale` or `cell_size`."""
     return _first(name) in PLACES and PART.sub("", name).strip(".") == ""
 
 
-def is_beside(name: str) -> bool:
-    """True for one that any world may have, as `sensor_range` or `moving_threats[0].walk`."""
-    return is_path(name) and _first(name) in BESIDE
+def is_scenario_path(name: str) -> bool:
+    """True for a path that any world may have, as `sensor_range` or `moving_threats[0].walk`."""
+    return is_path(name) and _first(name) in SCENARIO_KEYS
 
 
 def _first(name: str) -> str:
@@ -127,7 +127,7 @@ def _first(name: str) -> str:
 
 
 def label_of(name: str, value: Any, folder: Path) -> Label:
-    """A setting's value as results are found by it; files relative to the sweep's folder."""
+    """A setting's value as a label; files relative to the sweep's folder."""
     if name in ("input", "plan"):
         path = Path(value)
         return str(path.relative_to(folder)) if path.is_relative_to(folder) else path.name
@@ -141,22 +141,22 @@ def label_of(name: str, value: Any, folder: Path) -> Label:
 
 
 def model_of(values: Mapping[str, Any], offset: int) -> RolloutChoices:
-    """The model of some settings; `offset`, the map's number, goes to the seed: no two maps are to share their luck."""
+    """The model of some settings; `offset`, the map's number, is added to the seed: maps share no random numbers."""
     first_only = values.get("threat_checks") == "first_visit"
     given = {name: values[name] for name in ("loop",) if name in values}
     return RolloutChoices(seed=(values.get("seed", 0) + offset) % MOST_SEED, first_only=first_only, **given)
 
 
 def generated_world(values: Mapping[str, Any], seed: int) -> Generated:
-    """The paper's random world of some settings with this seed."""
+    """The paper's random world with these settings and this seed."""
     unsaid: Json = {}
-    _put_all(unsaid, {name: value for name, value in values.items() if is_beside(name)}, "random map")
+    _put_all(unsaid, {name: value for name, value in values.items() if is_scenario_path(name)}, "random map")
     given = {name: values[name] for name in (*WORLD, *PAPER) if name in values}
     return Generated(seed=seed, unsaid=canonical(unsaid), **given)
 
 
 def written_world(values: Mapping[str, Any], seed: int | None) -> Written:
-    """The world of the `input` of some settings; `seed`: of its generated threats, None: those that it has itself."""
+    """The world of the `input` setting; `seed`: of its generated threats, None: unchanged."""
     scenario = scenario_of(values["input"])
     _put_all(scenario, {name: value for name, value in values.items() if is_path(name)}, values["input"])
     for entry in generators(scenario):
@@ -166,7 +166,7 @@ def written_world(values: Mapping[str, Any], seed: int | None) -> Written:
 
 
 def scenario_of(name: str) -> Json:
-    """The keys of an INPUT: a scenario's own, or those of a scenario of that map alone. Raises InputError."""
+    """The keys of an INPUT: a scenario's own, or those of a minimal scenario of a map. Raises InputError."""
     path = Path(name)
     if path.suffix.lower() in (".yaml", ".yml"):
         top = read_yaml(path)
@@ -185,14 +185,14 @@ def generators(scenario: Mapping[str, Any]) -> list[Json]:
 
 
 def _put_all(scenario: Json, values: Json, source: str) -> None:
-    """Set what is swept; where movers or phases are left out, what robots would plan on is too."""
+    """Set the swept values; `plan_on` is omitted if moving threats or phases are removed."""
     for name, value in values.items():
         if name != "plan_on" or None not in (values.get("moving_threats", name), values.get("phases", name)):
             _put(scenario, name, value, source)
 
 
 def _put(scenario: Json, name: str, value: Any, source: str) -> None:
-    """Set the value at a place such as `threats[0].scale`, None: clear it. Raises UsageError if there is none."""
+    """Set the value at a path such as `threats[0].scale`; None removes it. Raises UsageError for an unknown path."""
     parts: list[Any] = [word or int(number) for word, number in PART.findall(name)]
     place: Any = scenario
     try:
@@ -210,19 +210,19 @@ def _put(scenario: Json, name: str, value: Any, source: str) -> None:
 DEFAULTS = {"base": {}, "sweep": {}, "first_seed": 0, "rollouts": 1000, "seed": 0}
 DEFAULT_MAPS = 50
 MOST_CHECKED = 100
-"""Values of a name that are tried before the first rollout."""
+"""Values of a name that are checked before the first rollout."""
 Swept = tuple[tuple[str, tuple[Any, ...]], ...]
-"""(name, values), names in the order given."""
+"""(name, values), names in the given order."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spec:
-    """A sweep. A setting is one choice of a value for every name; they are numbered in the order of the product.
+    """A sweep. A setting is one value for every name; settings are numbered in the order of the product.
 
     Attributes:
-        source: the file. base: values by name. swept: what is crossed.
-        maps: how many random maps, or None for the one map that the input describes. first_seed: seed of the first.
-        rollouts: on each map of each setting. seed: of the rollouts on the first map.
+        source: the file. base: values by name. swept: crossed values.
+        maps: number of random maps, or None for the one map of the input. first_seed: seed of the first.
+        rollouts: for each map and setting.
     """
 
     source: Path
@@ -234,7 +234,7 @@ class Spec:
 
     @cached_property
     def cases(self) -> list[Json]:
-        """The swept values of every case on a map: of the settings apart from the models'."""
+        """The swept values of every case on a map, without those of the model."""
         return _crossed((name, values) for name, values in self.swept if name not in MODEL)
 
     @cached_property
@@ -248,12 +248,12 @@ class Spec:
         return dict(self.swept).get("policy", (self.base.get("policy", DEFAULT),))
 
     def labels(self, case: int, model: int) -> dict[str, Label]:
-        """The swept values of setting (case, model), by name in the order given."""
+        """The swept values of setting (case, model), by name in the given order."""
         chosen = self.cases[case] | self.models[model]
         return {name: label_of(name, chosen[name], self.source.parent) for name, _ in self.swept}
 
     def jobs(self, first: int = 0, stop: int | None = None) -> Iterator[Job]:
-        """The jobs of maps `first .. stop - 1` (None: all), map by map; `tag` numbers them: map * cases + case."""
+        """The jobs of maps `first .. stop - 1` (None: all), map by map; `tag`: map * cases + case."""
         for number in range(first, (self.maps or 1) if stop is None else stop):
             for place, chosen in enumerate(self.cases):
                 values = self.base | chosen
@@ -266,6 +266,7 @@ class Spec:
         labels = {name: label_of(name, v, self.source.parent) for name, v in values.items() if name not in MODEL}
         world = written_world(values, seed) if "input" in values else generated_world(values, seed or 0)
         if isinstance(world, Generated):
+            # Kind and ratio are labels even at their defaults, so that stores of several sweeps can be compared.
             labels = {**dict[str, Label](kind=world.kind, ratio=world.ratio), **labels}
         if seed is not None:
             labels["map"] = seed
@@ -275,41 +276,42 @@ class Spec:
 
 
 def _crossed(swept: Iterable[tuple[str, tuple[Any, ...]]]) -> list[Json]:
-    """Every choice of a value for each name, the last name's fastest."""
+    """All combinations of values, the last name fastest."""
     lists = [[(name, value) for value in values] for name, values in swept]
     return [dict(chosen) for chosen in product(*lists)]
 
 
 def read_spec(path: Path) -> Spec:
-    """The sweep in a YAML file; every value, and the settings of the first map, are checked. Raises InputError."""
+    """The sweep in a YAML file; all values, and the settings of the first map, are checked. Raises InputError."""
     top = read_yaml(path)
     if isinstance(top.value, dict) and {"map", "image"} & top.value.keys():
-        fix = f"a sweep over it has `base: {{input: {path.name}}}`"
+        fix = f"use it in a sweep file with `base: {{input: {path.name}}}`"
         raise ScenarioError("is a scenario or a map", source=path, expected="a sweep file", fix=fix)
     keys = top.mapping(optional=("maps",), defaults=DEFAULTS)
     if isinstance(keys["base"].value, dict) and "map" in keys["base"].value:
-        raise keys["base"].wrong("settings alone", "put the scenario into a file, and name that: `input: FILE`")
+        raise keys["base"].wrong("settings only", "put the scenario into a file and use `input: FILE`")
     given = keys["base"].mapping(optional=[name for name in SETTINGS if name != "seed"])
     base = {name: SETTINGS[name](key) for name, key in given.items()} | {"seed": MODEL["seed"](keys["seed"])}
     swept = tuple((name, _values(name, key)) for name, key in _swept(keys["sweep"]).items())
     rollouts = keys["rollouts"].number(whole(1, MOST_ROLLOUTS))
     spec = Spec(path, base, swept, _maps(keys, base, swept), MODEL["seed"](keys["first_seed"]), rollouts)
+    # One cache for all checks: most values share a world.
     places = Places()
-    for name, values in swept or (("base", (None,)),):  # what is wrong is found before the first rollout
+    for name, values in swept or (("base", (None,)),):  # detect errors before the first rollout
         for value in values[:MOST_CHECKED]:
             _check_value(spec, places, name, value)
     return spec
 
 
 def _swept(key: Key) -> dict[str, Key]:
-    """The swept names: settings, or places in a scenario."""
+    """The swept names: settings, or paths in a scenario."""
     if not isinstance(key.value, dict):
         raise key.wrong("names of settings with lists of values")
     value = {_new_place(str(name)): listed for name, listed in with_new_names(key.value, SETTINGS, key.source).items()}
     for name in value:
         if name not in SETTINGS and not is_path(str(name)):
             problem, fix = f"unknown setting `sweep.{str(name)[:60]}`", did_you_mean(name, [*SETTINGS, *PLACES])
-            expected = f"one of {', '.join(SETTINGS)}, or a place in the scenario as threats[0].scale"
+            expected = f"one of {', '.join(SETTINGS)}, or a path in the scenario as threats[0].scale"
             raise ScenarioError(problem, source=key.source, expected=expected, fix=fix)
     return {name: Key(value, f"sweep.{name}", key.source) for name, value in value.items()}
 
@@ -325,30 +327,30 @@ def _values(name: str, key: Key) -> tuple[Any, ...]:
     values = tuple(SETTINGS[name](item) if name in SETTINGS else item.value for item in items)
     twice = [value for at, value in enumerate(values) if value in values[:at]]
     if twice:
-        raise key.wrong(f"every value once, not {twice[0]!r} twice")
+        raise key.wrong(f"distinct values, not {twice[0]!r} twice")
     return values
 
 
 def _maps(keys: dict[str, Key], base: Json, swept: Swept) -> int | None:
-    """How many maps are asked for, None: the one of the input. Raises ScenarioError for what its worlds do not have."""
+    """Number of maps, None: the one of the input. Raises ScenarioError for settings that its worlds do not have."""
     names = sorted({*base, *dict(swept)})
     inputs = [*([base["input"]] if "input" in base else ()), *dict(swept).get("input", ())]
     generated = any(generators(scenario_of(name)) for name in inputs) if inputs else "plan" not in names
     for name in names:
-        problem, fix = "", "leave it out"
+        problem, fix = "", "remove it"
         if name in PAPER and inputs:
             problem = f"{name} is for the paper's random worlds"
-        elif is_path(name) and not is_beside(name) and not inputs:
+        elif is_path(name) and not is_scenario_path(name) and not inputs:
             problem = f"{name} is for an input in `base`"
         elif name in WORLD and inputs and not generated:
             problem = f"{name}: the input has no generated threats"
-            fix = "give it threats with `generate`, or leave it out"
+            fix = "add threats with `generate`, or remove it"
         if problem:
             raise ScenarioError(problem, source=keys["base"].source, fix=fix)
     asked = [keys[name] for name in ("maps", "first_seed") if name in keys and keys[name].value != DEFAULTS.get(name)]
     if asked and not generated:
-        fix = "leave it out, or give the input threats that are generated"
-        raise asked[0].wrong("no maps, since the input is one", fix)
+        fix = "remove it, or add threats with `generate` to the input"
+        raise asked[0].wrong("no maps, since the input is a single map", fix)
     if not generated or (inputs and not asked):
         return None
     if MODEL["seed"](keys["first_seed"]) + MOST_MAPS >= MOST_SEED:
@@ -357,7 +359,7 @@ def _maps(keys: dict[str, Key], base: Json, swept: Swept) -> int | None:
 
 
 def _check_value(spec: Spec, places: Places, name: str, value: Any) -> None:
-    """Raise InputError, naming the file, if this value cannot be, with the first values of the others."""
+    """Raise InputError that names the file if this value is invalid with the first values of the others."""
     chosen = spec.base | {other: values[0] for other, values in spec.swept}
     chosen |= {name: value} if name != "base" else {}
     try:

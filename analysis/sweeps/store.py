@@ -1,7 +1,7 @@
-"""The store: tallies of runs by aligned block of 4,096 rollout ids, in one file that survives being killed.
+"""The store: tallies of runs in aligned blocks of 4,096 rollout ids, in one crash-safe SQLite file.
 
-A run is found by its key (`cases.run_key`), so that whoever wants it again finds it, whatever the sweep. Blocks only
-grow: a part of a block that is there already is never counted twice, and stores merge by union.
+Runs are found by their key (`cases.run_key`), whatever sweep they belong to. Blocks only grow: ids that are stored are
+never counted twice, and stores merge by union.
 """
 
 from __future__ import annotations
@@ -29,22 +29,20 @@ from planner.files import Json, printable, why_no_file
 from planner.formatting import counted
 from planner.tally import Tally
 
-# Opening a store's file: SQLite in WAL mode, made, checked, versioned; what SQLite says when it cannot, in our words.
+# Opening a store's file: SQLite in WAL mode, with checks of version and structure; SQLite's errors become StoreErrors.
 #
-# Crash-safe: a transaction is there whole or not at all, whenever the process is killed. Two processes may write at
-# once:
-# each waits for the other's transaction. Power cut: in WAL mode with `synchronous = NORMAL` the file is whole, and
-# holds
-# all but the last transactions. A flipped bit: rows carry checksums of their own, since SQLite has none, and SQLite's
-# check of the whole structure (`integrity_check`: no row is missing from an index or the table) is run whenever a store
-# is opened, at 1.6 s of CPU a gigabyte: little beside what reading its runs takes.
+# Crash safety: a transaction is complete or absent, whenever the process is killed. Two processes may write at once;
+# each waits for the other's transaction. After a power cut in WAL mode with `synchronous = NORMAL`, the file is intact
+# and has all but the last transactions. Against flipped bits, rows carry checksums, since SQLite has none. SQLite's
+# check of the structure (`integrity_check`: no row is missing from an index or table) runs at every opening: 1.6 s of
+# CPU for each gigabyte, less than it takes to read the runs.
 
 MARK = 0x4D524143
 """SQLite's application id of a store: "MRAC" in ASCII."""
 VERSION = 1
-"""Of the tables below."""
+"""Version of the tables below."""
 BUSY_SECONDS = 60.0
-"""How long a transaction waits for another process's."""
+"""Time limit for waiting on another process's transaction."""
 TABLES = """
 CREATE TABLE runs (
     key TEXT PRIMARY KEY, identity TEXT NOT NULL, what TEXT NOT NULL, facts TEXT NOT NULL, checksum INTEGER NOT NULL
@@ -57,21 +55,22 @@ CREATE TABLE blocks (
 
 
 class StoreError(InputError):
-    """A store that cannot be read or written; nothing that it held before is lost."""
+    """A store cannot be read or written. Its previous content is intact."""
 
 
 def open_file(path: Path, *, write: bool, whole: bool = True) -> sqlite3.Connection:
-    """A connection to the store at `path`; a new one is made if `write` and there is none. Raises StoreError.
+    """A connection to the store at `path`; with `write` a missing file is created. Raises StoreError.
 
-    `whole`: its structure is checked too: pages, tables and indexes must agree, or rows may be missing.
+    `whole`: also check the structure: pages, tables and indexes must agree, or rows may be missing.
     """
+    # A dangling symbolic link is an error: its target may be on a disk that is not mounted.
     problem = why_no_file(path)
     if problem and (problem != "no such file" or not write or path.is_symlink()):
         raise StoreError(problem, source=printable(path), expected="a store (`mrac-jax sweep` makes one)")
     if problem and not path.parent.is_dir():
         fix = f"make {printable(path.parent)} first"
         raise StoreError("cannot be made: its folder does not exist", source=printable(path), fix=fix)
-    with told(path, write=write):
+    with _store_errors(path, write=write):
         connection = _connect(path, "mode=rwc") if write else _readable(path)
         try:
             if write:
@@ -80,7 +79,7 @@ def open_file(path: Path, *, write: bool, whole: bool = True) -> sqlite3.Connect
             if found != "ok":
                 raise damaged(path, found.replace("*** in database main ***", ""))
             if write:
-                with transaction(connection):  # a file that cannot be written says so now
+                with transaction(connection):  # detect a file that cannot be written now, not after a sweep
                     connection.execute("PRAGMA user_version").fetchone()
                     connection.execute(f"PRAGMA user_version = {VERSION}")
         except BaseException:
@@ -97,16 +96,16 @@ def _connect(path: Path, parameters: str) -> sqlite3.Connection:
 
 
 def _text(data: bytes) -> str:
-    """Text of a row, damaged or not: its checksum tells."""
+    """Text of a row, possibly damaged: the checksum detects that."""
     return data.decode("utf-8", "surrogateescape")
 
 
 def _readable(path: Path) -> sqlite3.Connection:
-    connection = _connect(path, "mode=rw")  # who may write clears away SQLite's -wal and -shm when it is the last
+    connection = _connect(path, "mode=rw")  # a read-write connection removes SQLite's -wal and -shm when it closes
     try:
         connection.execute("PRAGMA query_only = ON")
         _check(connection, path)
-    except sqlite3.OperationalError:  # a folder or a disk that cannot be written has no room for SQLite's index of WAL
+    except sqlite3.OperationalError:  # SQLite cannot create the WAL index on a read-only disk
         connection.close()
         if path.with_name(path.name + "-wal").exists():
             raise
@@ -120,20 +119,21 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> None:
         _make(connection)
     _check(connection, path)
     wal = connection.execute("PRAGMA journal_mode").fetchone()[0] == "wal"
-    connection.execute(f"PRAGMA synchronous = {'NORMAL' if wal else 'FULL'}")  # without WAL less is not safe
+    connection.execute(f"PRAGMA synchronous = {'NORMAL' if wal else 'FULL'}")  # without WAL, NORMAL is not safe
 
 
 def _is_new(connection: sqlite3.Connection) -> bool:
-    """True for a file without a table and without a mark: it was made a moment ago, or its maker was killed."""
+    """True for a file without tables and application id: just created, or its creator was killed."""
     mark = connection.execute("PRAGMA application_id").fetchone()[0]
     tables = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
     return mark == 0 and tables == 0
 
 
 def _make(connection: sqlite3.Connection) -> None:
+    # Two processes may create the same store at once.
     patience = time.monotonic() + BUSY_SECONDS
     while True:
-        try:  # another process may be making it too; SQLite does not wait here by itself
+        try:  # another process may create it too; SQLite has no busy timeout here
             connection.execute("PRAGMA journal_mode = WAL")
             break
         except sqlite3.OperationalError as error:
@@ -171,7 +171,7 @@ def _check(connection: sqlite3.Connection, path: Path) -> None:
 
 @contextmanager
 def transaction(connection: sqlite3.Connection) -> Iterator[None]:
-    """All or nothing, alone: other writers wait until it is over."""
+    """An exclusive transaction: complete or rolled back; other writers wait."""
     connection.execute("BEGIN IMMEDIATE")
     try:
         yield
@@ -184,22 +184,22 @@ def transaction(connection: sqlite3.Connection) -> Iterator[None]:
 
 
 @contextmanager
-def told(path: Path | None, *, write: bool = True) -> Iterator[None]:
-    """SQLite's errors as StoreErrors that name the file, what is wrong and what to do."""
+def _store_errors(path: Path | None, *, write: bool = True) -> Iterator[None]:
+    """Turn SQLite's errors into StoreErrors that name the file, the problem and a fix."""
     try:
         yield
-    except UnicodeDecodeError as error:  # of SQLite's own message, which cites what it cannot read
-        raise damaged(path, "text that is no UTF-8") from error
+    except UnicodeDecodeError as error:  # SQLite's message may quote undecodable bytes
+        raise damaged(path, "text that is not UTF-8") from error
     except sqlite3.DatabaseError as error:
         source = printable(path) if path else "store"
         code = getattr(error, "sqlite_errorname", "") or ""
         text = str(error)
         if code.startswith("SQLITE_NOTADB"):
-            raise StoreError("is no store", source=source, expected="a file that `mrac-jax sweep` made") from error
+            raise StoreError("is not a store", source=source, expected="a file that `mrac-jax sweep` made") from error
         if code.startswith("SQLITE_CORRUPT") or "malformed" in text:
             raise damaged(path, text) from error
         if code.startswith(("SQLITE_FULL", "SQLITE_IOERR")):
-            fix = "make room on the disk and run the same command again: what it held is still there"
+            fix = "free disk space and run the same command again: the previous content is intact"
             raise StoreError(f"cannot be {'written' if write else 'read'} ({text})", source=source, fix=fix) from error
         if code.startswith(("SQLITE_READONLY", "SQLITE_CANTOPEN")):
             expected = f"a file {'and a folder to write to' if write else 'that can be read'}"
@@ -207,7 +207,7 @@ def told(path: Path | None, *, write: bool = True) -> Iterator[None]:
                 f"cannot be {'written' if write else 'opened'} ({text})", source=source, expected=expected
             ) from error
         if _is_busy(error):
-            expected = "a store that others leave alone for a moment"
+            expected = "a store that no other process locks"
             raise StoreError(
                 f"another process held it for {BUSY_SECONDS:g} s", source=source, expected=expected
             ) from error
@@ -217,8 +217,8 @@ def told(path: Path | None, *, write: bool = True) -> Iterator[None]:
 
 
 def damaged(path: Path | None, what: str) -> StoreError:
-    """The error for a store whose bytes are not those that were written."""
-    fix = "save what is intact: mrac-jax results NEW --merge THIS"
+    """The error for a store whose bytes have changed."""
+    fix = "save the intact runs: mrac-jax results NEW --merge THIS"
     what = " ".join(what.split())[:120]
     return StoreError(f"is damaged ({what})", source=printable(path) if path else "store", fix=fix)
 
@@ -237,16 +237,16 @@ def _is_busy(error: sqlite3.Error) -> bool:
 
 
 MERGED = 256
-"""Runs of another store that are taken over in one transaction."""
+"""Runs of another store that are merged in one transaction."""
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One run as the store knows it.
+    """One run in the store.
 
     Attributes:
-        key: `cases.run_key`. what: the labels that it is found by. facts: `tasks.facts_of`.
-        ids: the rollouts held. sums: `packed.sums_of` over them; None without any.
+        key: `cases.run_key`. what: labels for queries. facts: `cases.facts_of`.
+        ids: stored rollouts. sums: `store_files.sums_of` over them; None: no rollouts.
     """
 
     key: str
@@ -257,25 +257,25 @@ class Run:
 
     @property
     def rollouts(self) -> int:
-        """How many rollouts it holds."""
+        """Number of stored rollouts."""
         return sum(stop - start for start, stop in self.ids)
 
 
 class Store:
-    """Runs and their tallies. Only one thread of a process uses a store; several processes may use one file."""
+    """Runs and their tallies. One thread of a process may use a store; several processes may use one file."""
 
     def __init__(self, connection: sqlite3.Connection, path: Path | None, problem: str = "") -> None:
-        """Use `Store.open` or `Store.rescue`. `problem`: what is wrong with the file's structure."""
+        """Use `Store.open` or `Store.rescue`. `problem`: damage of the file's structure."""
         self._connection, self.path, self.problem = connection, path, problem
 
     @classmethod
     def open(cls, path: str | Path, *, write: bool = True) -> Store:
-        """The store in this file; with `write` it is made if there is none. Raises StoreError."""
+        """The store in this file; with `write` a missing file is created. Raises StoreError."""
         return cls(open_file(Path(path), write=write), Path(path))._by_thresholds()
 
     @classmethod
     def rescue(cls, path: str | Path) -> Store:
-        """The store in this file, to be merged into another: whatever is still intact of it. Raises StoreError."""
+        """The readable content of a damaged store, for a merge into another. Raises StoreError."""
         try:
             store = cls(open_file(Path(path), write=False), Path(path))
         except StoreError as error:
@@ -288,19 +288,19 @@ class Store:
         return store._by_thresholds()
 
     def _by_thresholds(self) -> Store:
-        """Itself; raises StoreError where it holds rollouts with random numbers for each visit."""
-        with suppress(sqlite3.DatabaseError):  # damage is told of where its rows are read
+        """This store. Raises StoreError if it has random numbers for each visit (releases before 0.4)."""
+        with suppress(sqlite3.DatabaseError):  # damage is reported when rows are read
             if self._connection.execute(_BY_VISITS).fetchone():
                 self.close()
                 raise StoreError(PER_VISIT, source=printable(self.path or "store"))
         return self
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._connection.close()
 
     def forget(self, keys: Iterable[str]) -> None:
-        """Nobody asks for these runs again: a file keeps them."""
+        """The caller needs these runs no more; a file keeps them."""
 
     def __enter__(self) -> Store:
         return self
@@ -309,23 +309,23 @@ class Store:
         self.close()
 
     def _rows(self, query: str, *values: object) -> list[tuple[Any, ...]]:
-        with told(self.path, write=False):
+        with _store_errors(self.path, write=False):
             return self._connection.execute(query, values).fetchall()
 
     def __len__(self) -> int:
-        """How many runs it holds."""
+        """Number of runs."""
         return int(self._rows("SELECT count(*) FROM runs")[0][0])
 
     def held(self, key: str) -> Ranges:
-        """The rollout ids of a run that are here: sorted, disjoint, not touching."""
+        """The stored rollout ids of a run: sorted, disjoint, not adjacent."""
         return joined(pair for ids, _ in self._parts(key) for pair in ids)
 
     def missing(self, key: str, start: int, stop: int) -> Ranges:
-        """The ids of `start .. stop - 1` of a run that are not here."""
+        """The ids of `start .. stop - 1` of a run that are not stored."""
         return without(((start, stop),) if start < stop else (), self.held(key))
 
     def tally(self, key: str) -> Tally | None:
-        """Everything that is held of a run, or None. Raises StoreError for a damaged block."""
+        """The sum of all stored tallies of a run, or None. Raises StoreError for a damaged block."""
         tallies = [self._tally(row) for row in self._rows(f"{_BLOCKS} WHERE key = ? ORDER BY block", key)]
         return reduce(add, tallies) if tallies else None
 
@@ -335,33 +335,33 @@ class Store:
         return self._run(rows[0]) if rows else None
 
     def runs(self) -> Iterator[Run]:
-        """All runs, in the order in which they were added."""
-        with told(self.path, write=False):
+        """All runs, in order of insertion."""
+        with _store_errors(self.path, write=False):
             for row in self._connection.execute(f"{_RUNS} ORDER BY rowid"):
                 yield self._run(row)
 
     def labels(self) -> Iterator[dict[str, Label]]:
         """The labels of all runs."""
-        with told(self.path, write=False):
+        with _store_errors(self.path, write=False):
             for row in self._connection.execute(_RUNS):
                 yield self._said(row)[0]
 
     def label(self, key: str, what: Mapping[str, Label]) -> None:
-        """Let a run be found by these labels too; those that it has stay as they are."""
+        """Add labels to a run; existing labels are not changed."""
         for row in self._rows(f"{_RUNS} WHERE key = ?", key):
             if not what.keys() <= self._said(row)[0].keys():
-                with told(self.path), transaction(self._connection):
+                with _store_errors(self.path), transaction(self._connection):
                     self._add_run(key, row[1], dict(what), {})
 
     def add(self, results: Iterable[RunResult]) -> dict[str, Ranges]:
-        """Keep results, in one transaction. Returns the ids that could not be: of parts that overlap what is here.
+        """Store results in one transaction. Returns the ids that were rejected, as they overlap stored ones.
 
-        A part that is here already is left as it is, one that holds all that is here replaces it; of two that overlap
-        otherwise (two processes at once) the larger is kept, and the ids of the other are to be run again. Raises
-        StoreError if the file cannot be written (then nothing of it is), or if the same ids have other counts.
+        A part that is already stored is ignored; one that contains all stored ids replaces them. Of two parts that
+        overlap otherwise (written by two processes) the larger is kept, and the ids of the other must run again. Raises
+        StoreError if the file cannot be written (then nothing is stored), or if equal ids have different counts.
         """
         lost: dict[str, Ranges] = {}
-        with told(self.path), transaction(self._connection):
+        with _store_errors(self.path), transaction(self._connection):
             for result in results:
                 for identity in {tally.key for tally in result.tallies}:
                     self._add_run(result.key, identity, result.what, result.facts)
@@ -372,7 +372,7 @@ class Store:
         return lost
 
     def merge(self, other: Store) -> tuple[int, list[str]]:
-        """Take over everything that is intact in another store: (runs taken over, what was left out and why)."""
+        """Merge all intact results of another store. Returns the number of merged runs, and notes on omitted ones."""
         notes, count = list[str](), 0
         results = other._results(notes)
         while batch := list(islice(results, MERGED)):
@@ -381,7 +381,7 @@ class Store:
         return count, notes
 
     def _results(self, notes: list[str]) -> Iterator[RunResult]:
-        """Every run with its blocks, whatever of them is intact; what is not is counted in a note."""
+        """Every run with its intact blocks; a note counts the damaged ones."""
         rows, runs, blocks = rows_of(self._connection), 0, set[tuple[str, int]]()
         for key, numbers in rows.runs.items():
             own = [row for n in numbers if (row := self._row(f"{_RUNS} WHERE rowid = ?", n, key)) and _is_run(row)]
@@ -392,12 +392,12 @@ class Store:
                 yield RunResult(key, json.loads(own[0][2]), json.loads(own[0][3]), tuple(tallies.values()))
         lost, gone = len({key for key, _ in rows.named} | rows.runs.keys()) - runs, len(rows.named - blocks)
         if self.problem or lost or gone:
-            told_of = f"{counted(lost, 'run')} and {counted(gone, 'block')} that it names cannot be read"
+            problem = f"{counted(lost, 'run')} and {counted(gone, 'block')} cannot be read"
             source = self.problem or printable(self.path or "store")
-            notes.append(f"{source}: {told_of}; whatever it does not name any more is not counted")
+            notes.append(f"{source}: {problem}; lost entries of its index are not counted")
 
     def _intact(self, key: str, numbers: Iterable[int]) -> Iterator[Tally]:
-        """The blocks of a run in these rows that are whole."""
+        """The intact blocks of a run among these rows."""
         for number in sorted(numbers):
             row = self._row(f"{_BLOCKS} WHERE rowid = ?", number, key)
             if row is not None:
@@ -405,7 +405,8 @@ class Store:
                     yield self._tally(row)
 
     def _row(self, query: str, number: int, key: str) -> tuple[Any, ...] | None:
-        """A row that says that it is of this run, or None: the file may be damaged."""
+        """A row if it belongs to this run, else None: the file may be damaged."""
+        # An unreadable row counts as lost.
         with suppress(sqlite3.DatabaseError):
             for row in self._connection.execute(query, (number,)):
                 return tuple(row) if row[0] == key else None
@@ -426,7 +427,7 @@ class Store:
         )
 
     def _add_block(self, key: str, tally: Tally) -> Ranges:
-        """Union of this part of a block with what is here; the ids that could not be kept."""
+        """Unite this part of a block with the stored one; return the rejected ids."""
         block = tally.ids[0][0] // BLOCK
         left_out: Ranges = ()
         for row in self._rows(f"{_BLOCKS} WHERE key = ? AND block = ?", key, block):
@@ -448,51 +449,52 @@ class Store:
         return Run(row[0], what, facts, joined(ids), sums)
 
     def _said(self, row: tuple[Any, ...]) -> tuple[dict[str, Label], Json]:
-        """A run's labels and facts, without reading its blocks. Raises StoreError for a damaged one."""
+        """A run's labels and facts, without its blocks. Raises StoreError if they are damaged."""
         if not _is_run(row):
             raise damaged(self.path, f"run {str(row[0])[:12]}")
         what = json.loads(row[2])
-        what.pop("mode", None)  # of 0.3, which drew in other ways too
+        what.pop("mode", None)  # a label of 0.3, which had several ways of sampling
         what = {RENAMED.get(name, name): value for name, value in what.items()}  # labels of 0.3's settings
         if isinstance(loop := what.get("plan_for"), str):
             what["plan_for"] = LOOPS.get(loop, loop)
         return what, json.loads(row[3])
 
     def _parts(self, key: str) -> Iterator[tuple[Any, Any]]:
-        """(ids, sums) of the blocks of a run. Raises StoreError for a damaged one."""
+        """(ids, sums) of the blocks of a run. Raises StoreError for a damaged block."""
         for *texts, length, said in self._rows(f"{_SUMS} WHERE key = ? ORDER BY block", key):
             if checksum(*texts, length) != said:
-                raise damaged(self.path, f"run {key[:12]}, block {texts[1]}: another checksum")
+                raise damaged(self.path, f"run {key[:12]}, block {texts[1]}: wrong checksum")
             yield json.loads(texts[2]), json.loads(texts[3])
 
     def _tally(self, row: tuple[Any, ...]) -> Tally:
         key, block, ids, sums, blob, check = row
         try:
             if checksum(key, block, ids, sums, len(blob)) != check:
-                raise ValueError("another checksum")
+                raise ValueError("wrong checksum")
             return unpack(blob, tuple((start, stop) for start, stop in json.loads(ids)))
         except (ValueError, TypeError) as error:
             raise damaged(self.path, f"run {str(key)[:12]}, block {block}: {error}") from error
 
 
 def check_identity(key: str, held: str, identity: str, what: Mapping[str, Label], path: Path | None) -> None:
-    """Raise StoreError where a run's rollouts would be of another identity than those that are `held`."""
+    """Raise StoreError if a run's rollouts have another identity than the stored ones."""
     if held != identity:
-        problem = f"run {key[:12]} ({canonical(what)}) was planned otherwise, by another METIS or mrac-jax"
+        problem = f"run {key[:12]} ({canonical(what)}) has another plan, of another version of METIS or mrac-jax"
         raise StoreError(problem, source=path or "store", fix="use another store")
 
 
 def united(key: str, held: Tally, tally: Tally, path: Path | None) -> tuple[Tally, Ranges]:
-    """What is kept of two parts of a block, and the ids that cannot be; `held` itself, if nothing is new in `tally`.
+    """Unite two parts of a block: the kept tally, and the rejected ids. `held` itself if `tally` adds nothing.
 
-    Raises StoreError if the same ids have other counts.
+    Raises StoreError if equal ids have different counts.
     """
     new, old = without(tally.ids, held.ids), without(held.ids, tally.ids)
     if not new and not old and held != tally:
         problem = f"run {key[:12]}: the same rollouts {list(tally.ids)} have other counts here"
-        raise StoreError(problem, source=path or "store", expected="rollouts that repeat")
+        raise StoreError(problem, source=path or "store", expected="reproducible rollouts")
     if not new or not old:
         return (tally if new else held), ()
+    # Disjoint parts of one block add.
     if new == tally.ids:
         return tally + held, ()
     return (tally, old) if tally.rollouts > held.rollouts else (held, new)
@@ -508,34 +510,34 @@ _BLOCKS = "SELECT key, block, ids, sums, tally, checksum FROM blocks"
 _SUMS = "SELECT key, block, ids, sums, length(tally), checksum FROM blocks"
 
 
-# A store that ends with the process: what `Store` keeps in a file, kept as it is.
+# A store in memory, with the same contents as a file.
 
 
 @dataclass
 class _Held:
-    """A run: its labels, its facts, and a tally of each block, by number."""
+    """A run: labels, facts, and a tally of each block, by number."""
 
     what: dict[str, Label]
     facts: Json
     blocks: dict[int, Tally] = field(default_factory=dict)
 
     def tallies(self) -> list[Tally]:
-        """In order of their ids."""
+        """The tallies in order of their ids."""
         return [self.blocks[number] for number in sorted(self.blocks)]
 
 
 class Memory(Store):
-    """Runs and their tallies, 20 kB each for 400 cells."""
+    """A store in memory: runs and their tallies, 20 kB each for 400 cells."""
 
     def __init__(self) -> None:
         self.path = None
         self._held: dict[str, _Held] = {}
 
     def close(self) -> None:
-        """There is no file to let go of."""
+        """Nothing: there is no file."""
 
     def forget(self, keys: Iterable[str]) -> None:
-        """Hold these runs no longer: whoever needed them is done."""
+        """Remove these runs, as their user is done."""
         for key in keys:
             self._held.pop(key, None)
 

@@ -1,4 +1,4 @@
-"""A tally as bytes, and its sums: what a store keeps of it. Counts take the narrowest type, then zlib (with checksum).
+"""A tally as bytes, and its sums. Counts have the narrowest type and are compressed with zlib (with checksum).
 
 A blob is zlib of one line of JSON (`key`, `shape`, `arrays`: [name, type, length]) and the arrays in that order.
 """
@@ -25,7 +25,7 @@ MOST_BYTES = 2**34
 
 
 def pack(tally: Tally) -> bytes:
-    """The tally as a blob; its ids are kept beside it."""
+    """The tally as a blob, without its ids."""
     arrays = [(name, _narrow(values)) for name, values in tally.counts().items()]
     head = {
         "key": tally.key,
@@ -37,9 +37,10 @@ def pack(tally: Tally) -> bytes:
 
 
 def unpack(blob: bytes, ids: tuple[tuple[int, int], ...]) -> Tally:
-    """The tally of a blob. Raises ValueError for bytes that are none."""
+    """The tally of a blob. Raises ValueError for invalid bytes."""
     try:
         unpacker = zlib.decompressobj()
+        # The limit protects against a damaged blob that unpacks without end.
         data = unpacker.decompress(blob, MOST_BYTES)
         if not unpacker.eof:
             raise ValueError("cut off")
@@ -64,21 +65,22 @@ def _narrow(values: NDArray[np.int64]) -> NDArray[Any]:
 def sums_of(tally: Tally) -> Json:
     """The tally's sums, exact integers that add: `rollouts`, `outcomes`, and [sum, sum of squares] of each figure.
 
-    `luck`: of `analysis.statistics.variance_reduction.luck_sums`.
+    `luck`: see `analysis.statistics.variance_reduction.luck_sums`.
     """
     said: Json = {"rollouts": tally.rollouts, "outcomes": tally.outcomes.tolist(), "luck": luck_sums(tally)}
     for figure in FIGURES:
         counts = getattr(tally, figure)
         held = np.flatnonzero(counts)
         often = counts[held]
+        # Sums of squares may exceed int64.
         if tally.rollouts * (len(counts) ** 2) >= 2**63:
-            often = often.astype(object)  # whole numbers that do not overflow
+            often = often.astype(object)  # Python integers do not overflow
         said[figure] = [int(often @ held), int(often @ held**2)]
     return said
 
 
 def add_sums(left: Json, right: Json) -> Json:
-    """The sums of both tallies together. Blocks from before there was an outcome, or luck, lack its sums."""
+    """The sum of two sums. Blocks of earlier releases may lack an outcome, or `luck`."""
     return {
         name: left[name] + right[name]
         if name == "rollouts"
@@ -94,7 +96,7 @@ Ranges = tuple[tuple[int, int], ...]
 
 
 def joined(ids: Iterable[Iterable[int]]) -> Ranges:
-    """Ranges of ids sorted, overlapping and touching ones as one."""
+    """Sorted ranges of ids; overlapping and adjacent ones are joined."""
     merged: list[tuple[int, int]] = []
     for start, stop in sorted((int(start), int(stop)) for start, stop in ids):
         if merged and start <= merged[-1][1]:
@@ -116,7 +118,7 @@ def cut(ids: Ranges, size: int) -> list[tuple[int, int]]:
 
 
 def without(ids: Ranges, taken: Ranges) -> Ranges:
-    """The ids that are not taken; both sorted and disjoint."""
+    """The ids that are not in `taken`; both are sorted and disjoint."""
     left = []
     for start, stop in ids:
         for begin, end in taken:
@@ -130,11 +132,10 @@ def without(ids: Ranges, taken: Ranges) -> Ranges:
     return tuple(left)
 
 
-# What can still be read of a damaged store: its rows, reached through the index and through the table, both ways.
+# Recovery of a damaged store: rows are found through the index and through the table.
 #
-# A row is looked for by its number (SQLite's rowid), which the index and the table each know; whoever reads it checks
-# its
-# checksum. Memory: the numbers alone.
+# A row is read by its number (SQLite's rowid), which index and table both hold, and then verified by its checksum. Only
+# the numbers are kept in memory.
 
 LAST = 2**63 - 1
 """The largest rowid."""
@@ -143,11 +144,11 @@ COLUMNS = {"runs": "key", "blocks": "key, block"}
 
 @dataclass
 class Rows:
-    """Rows of a damaged store by the key of their run: their numbers, and what the index and the table say is there.
+    """Rows of a damaged store by the key of their run.
 
     Attributes:
-        runs: rowids of a run's own rows; more than one where the two ways disagree. blocks: of its blocks.
-        named: (key, block) of every block that either of them names.
+        runs: rowids of a run's rows; more than one if index and table disagree. blocks: rowids of its blocks.
+        named: (key, block) of every block in the index or the table.
     """
 
     runs: dict[str, set[int]] = field(default_factory=dict)
@@ -156,7 +157,7 @@ class Rows:
 
 
 def rows_of(connection: sqlite3.Connection) -> Rows:
-    """Every row that can be reached, in the order in which the runs were added."""
+    """Every row that can be reached, in order of insertion of the runs."""
     found = Rows()
     for number, key in sorted(_reached(connection, "runs"), key=lambda row: row[0]):
         found.runs.setdefault(str(key), set()).add(number)
@@ -167,7 +168,7 @@ def rows_of(connection: sqlite3.Connection) -> Rows:
 
 
 def _reached(connection: sqlite3.Connection, table: str) -> set[tuple[int, ...]]:
-    """(rowid, columns) of the rows of a table: by its index, then by the table itself past every damaged place."""
+    """(rowid, columns) of the rows of a table: by its index, then by the table itself, skipping damaged places."""
     columns, found = COLUMNS[table], set[tuple[int, ...]]()
     for order in ("ASC", "DESC"):
         by = ", ".join(f"{column} {order}" for column in columns.split(", "))
@@ -186,6 +187,6 @@ def _reached(connection: sqlite3.Connection, table: str) -> set[tuple[int, ...]]
                     found.add(row)
                     place, step = row[0], 1
                 break
-            except sqlite3.DatabaseError:  # over the damaged place, in growing steps
+            except sqlite3.DatabaseError:  # skip the damaged place in growing steps
                 place, step = place + sign * step, 2 * step
     return found

@@ -1,8 +1,8 @@
 """A sweep: its jobs run into a store, map by map, until all maps are done or the widest interval is narrow enough.
 
-What precision buys: the interval of a setting's mean is the spread between maps (`analysis.sweeps.results`), of which
-the rollouts' noise within each map is mostly a small share. So `precision` takes more maps, twice as many at each look,
-and more rollouts only where the input is a single map. The share is reported.
+The interval of a setting's mean comes from the variance between maps (`analysis.sweeps.results`); rollout noise within
+maps is mostly a small share of it. `precision` therefore adds maps, doubling their number at each check, and adds
+rollouts only if the input is a single map. The share is reported.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from planner.errors import UsageError
 from planner.files import Json
 
 Watch = Callable[[int, int, float, str], None]
-"""`watch(jobs, total, seconds, more)`: jobs done of so many, seconds since the start, and in words how wide the widest
-95 % interval of mean visited coverage is so far, "" before there is one."""
+"""`watch(jobs, total, seconds, more)`: jobs done of the total, seconds since the start, a text with the half-width of
+the widest 95 % interval of mean visited coverage, "" before there is one."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sweep(Swept):
-    """A sweep's answer. `rows` in the order of the settings; partial: interrupted."""
+    """The result of a sweep. `rows` are in the order of the settings; partial: interrupted."""
 
     reported_by = "analysis.sweeps.report:report"
     listed = "settings"
@@ -50,19 +50,19 @@ class Sweep(Swept):
 
     @property
     def widest(self) -> float:
-        """Half the width of that interval; NaN if there is none."""
+        """Half-width of that interval; NaN if there is none."""
         return math.nan if self.widest_row is None else self.widest_row.estimate("visited").half_width
 
     @property
     def within_share(self) -> float | None:
-        """Share of the rollouts' noise in the variance of the map means, where the interval is widest."""
+        """Share of rollout noise in the variance of the map means, for the widest interval."""
         return None if self.widest_row is None else self.widest_row.within_share
 
 
 class _Table:
-    """The rows of the settings that have a map, by setting; some 12 kB each, however many maps.
+    """The rows of all settings that have a map; some 12 kB each, whatever the number of maps.
 
-    Jobs are added in order of their tags, whoever finished first, so that the sums do not depend on the engine.
+    Jobs are added in order of their tags, so that sums do not depend on the order in which they finish.
     """
 
     def __init__(self, spec: Spec, store: Store) -> None:
@@ -73,14 +73,15 @@ class _Table:
         self.first = (-1, np.empty(0))
 
     def add(self, tag: int, keys: tuple[str, ...]) -> None:
-        """A finished job, by the keys of its runs."""
+        """Add a finished job by the keys of its runs."""
         heapq.heappush(self.waiting, (tag, keys))
+        # Sums of floats depend on their order, so jobs are added by tag.
         while self.waiting and self.waiting[0][0] == self.next:
             self._add(*heapq.heappop(self.waiting))
             self.next += 1
 
     def rows(self) -> tuple[Row, ...]:
-        """Every setting that has a map, also of jobs that wait for others that will not come: it was interrupted."""
+        """Every setting that has a map; after an interruption also jobs that wait for earlier ones."""
         while self.waiting:
             self._add(*heapq.heappop(self.waiting))
         return tuple(self.found[setting] for setting in sorted(self.found))
@@ -90,12 +91,13 @@ class _Table:
         for model, key in enumerate(keys):
             setting, run = case * len(self.spec.models) + model, self.store.run(key)
             if run is None or run.sums is None:
-                raise StoreError(f"run {key[:12]} has gone", source=self.store.path or "store")
+                raise StoreError(f"run {key[:12]} is missing", source=self.store.path or "store")
             if setting not in self.found:
                 self.found[setting] = Row(self.spec.labels(case, model))
             row, (means, errors) = self.found[setting], figures_of(run)
             if setting == 0:
                 self.first = (number, means)
+            # Differences are paired map by map with the first setting.
             row.first = self.found[0].moments if 0 in self.found else None
             row.add(means, errors, run.rollouts - 1, self.first[1] if self.first[0] == number else None)
             row.rollouts += run.rollouts
@@ -104,7 +106,7 @@ class _Table:
             row.single = {} if tally is None else single_map(run, tally)
 
     def widest(self) -> float:
-        """Half the width of the widest interval of mean visited coverage; NaN where there is none yet."""
+        """Half-width of the widest interval of mean visited coverage; NaN if there is none yet."""
         known = (row for row in self.found.values() if row.maps > 1 or self.spec.maps is None)
         return max((row.estimate("visited").half_width for row in known), default=math.nan)
 
@@ -117,21 +119,24 @@ def run_sweep(
     watch: Watch | None = None,
     **where: Any,
 ) -> Sweep:
-    """Run a sweep into a store; what the store has is not run again.
+    """Run a sweep into a store; stored rollouts are not simulated again.
 
     Args:
-        spec: what. store: where results go. where: `processes`, `scheduler` as of `run_cases`.
-        precision: go on until half the width of the widest 95 % interval of mean visited coverage, a fraction of the
-            accessible cells, is below this: with twice the maps at each look, or twice the rollouts of a single map.
+        spec: the sweep. store: for the results. where: `processes`, `scheduler` as in `run_cases`.
+        precision: continue until the half-width of the widest 95 % interval of mean visited coverage, a fraction of the
+            accessible cells, is below this: each check doubles the maps, or the rollouts of a single map.
         watch: called after every job.
 
-    An interruption ends it with what was done so far, `partial`; if that is nothing, KeyboardInterrupt is raised.
-    Raises InputError.
+    Returns:
+        The result. After an interruption: the settings done so far, `partial`.
+
+    Raises:
+        InputError: a setting out of range. KeyboardInterrupt: before the first result.
     """
     check_precision(precision)
     clock, sums = time.perf_counter(), Finished(0, 0, 0, 0.0)
     for asked, maps in _stretches(spec):
-        if maps.start == 0:  # a single map's are looked at anew when it has more rollouts
+        if maps.start == 0:  # a single map's table is rebuilt with more rollouts
             table = _Table(asked, store)
         finished = _run_stretch(table, maps, sums, clock, watch, where)
         sums = Finished(
@@ -152,13 +157,13 @@ def run_sweep(
 
 
 def check_precision(precision: float | None) -> None:
-    """Raise UsageError for what is no precision that can be asked for."""
+    """Raise UsageError for a precision out of range."""
     if precision is not None and not 0 < precision < 1:
         raise UsageError(argument("precision", precision), expected="a fraction of the accessible cells in (0, 1)")
 
 
 def _stretches(spec: Spec) -> Iterator[tuple[Spec, range]]:
-    """What is run from one look to the next: twice the maps each time, or a single map with twice the rollouts."""
+    """The stages between two checks: twice the maps each time, or a single map with twice the rollouts."""
     first, maps = 0, spec.maps
     while maps is not None and first < maps:
         yield replace(spec, maps=maps), range(first, maps)
@@ -173,7 +178,7 @@ def _stretches(spec: Spec) -> Iterator[tuple[Spec, range]]:
 def _run_stretch(
     table: _Table, maps: range, before: Finished, clock: float, watch: Watch | None, where: Json
 ) -> Finished:
-    """Run the jobs of some maps, into the table too."""
+    """Run the jobs of some maps, and add them to the table."""
     spec, total = table.spec, len(maps) * len(table.spec.cases)
     looked, widest = 0.0, math.nan
 

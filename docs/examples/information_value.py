@@ -41,7 +41,7 @@ class Question:
 
     Attributes:
         name: of the command. title: in words.
-        ways: by name, what the map has beside itself: keys of a scenario (`analysis.sweeps.cases.BESIDE`).
+        ways: by name, what the map has beside itself: keys of a scenario (`analysis.sweeps.cases.SCENARIO_KEYS`).
         policies: of the teams; the last one is also compared with the one before.
         less: (one, other): by how much more one covers. main: of these, those that the headline tells, with its words.
     """

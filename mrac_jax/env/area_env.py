@@ -1,9 +1,9 @@
-"""The environment of `actions="areas"`: an action is the area that a robot works on next; the planner does the rest.
+"""The environment of `actions="areas"`: an action is the robot's next area; the planner drives the robot.
 
-An agent acts where Algorithm 2 decides (semi-Markov): `step` goes on until the next robot needs an area, or the mission
-is over. It is the simulator as Python (`planner.mission.external_allocation`), with the luck of `evaluate`.
+An agent acts where Algorithm 2 decides (semi-Markov): `step` runs until the next robot needs an area, or the mission is
+over. It is the simulator as Python (`planner.mission.external_allocation`), with the random numbers of `evaluate`.
 
-Axis letters: `K` robots, `M` offers, `F` columns of them.
+Axis letters: `K` robots, `M` offers, `F` columns of an offer.
 """
 
 from __future__ import annotations
@@ -47,17 +47,17 @@ from planner.world.uncertain_maps import Hazard
 from planner.world.world import World
 
 COLUMNS = ("offered", "own", "level", "cost", "unvisited", "entry", "covered", "alive")
-"""What a robot sees of an offer, all 0 where there is none: 1; 1 if it is the area that it has; the numbers of
+"""Observed columns of an offer, all 0 without an offer: 1; 1 if the robot already has the area; the numbers of
 `planner.simulator.offers.Offer`; the share of the accessible cells that is visited; the share of the team alive."""
 
 
 class AreaEnv:
-    """The mission of a team on a world, whose robots are told which area is next.
+    """The mission of a team on a world, with the choice of areas as actions.
 
     Attributes:
-        agents: "agent_0" .. "agent_K-1". num_agents: K. accessible: cells that count. starts: int64 `[K, 2]`.
-        max_steps: of the team, at which an episode is cut off. worth: what a lost robot takes off its reward, in cells.
-        offers: M, areas that a robot is shown at most. walk: what a policy without a thought does, in words.
+        agents: "agent_0" .. "agent_K-1". num_agents: K. accessible: number of accessible cells. starts: int64 `[K, 2]`.
+        max_steps: end of an episode. robot_value: penalty for a lost robot, in cells.
+        offers: M, largest number of offered areas. walk: name of the random baseline policy.
     """
 
     walk = "random areas"
@@ -73,7 +73,7 @@ class AreaEnv:
         robot_value: float = 0.0,
         max_steps: int | None = None,
     ) -> None:
-        """`rule`: by which robots travel and cover, and offers are in order. Raises InputError as `CoverageEnv`."""
+        """`rule`: moves the robots and orders the offers. Raises InputError as `CoverageEnv`."""
         placed = starts_of(world, robots, starts)
         (world.check_told if isinstance(world.doubt, Hazard) else world.check_settled)("the environment")
         world.check_alike("the environment")
@@ -91,30 +91,32 @@ class AreaEnv:
     @cached_property
     def _loop(self) -> PythonLoop:
         loop = PythonLoop(self._plan, self.world, problem=self._problem)
+        # The step limit is part of the loop, so that a rollout ends with the outcome STEP_LIMIT.
         loop.loop = replace(loop.loop, max_steps=min(self.max_steps, MAX_STEP))
         return loop
 
     def __getstate__(self) -> dict[str, Any]:
-        """What is sent to other processes: they make the loop themselves."""
+        """State for other processes, which build the loop themselves."""
         return {name: value for name, value in vars(self).items() if name != "_loop"}
 
     def action_space(self, agent: str) -> Discrete:
-        """0: go on, or where there are offers none of them; 1 .. M: an offer. What is not there is as 0."""
+        """0: continue, or with offers none of them; 1 .. M: an offer. A missing offer counts as 0."""
         return Discrete(self.offers + 1)
 
     def observation_space(self, agent: str) -> Box:
-        """float32 `[M, F]`: of each offer COLUMNS."""
+        """float32 `[M, F]`: COLUMNS of each offer."""
         return Box(0.0, np.inf, (self.offers, len(COLUMNS)))
 
     def begin(self, seed: int, rollout: int) -> ChosenRun:
-        """A rollout, before its first step: the luck of `evaluate`."""
+        """A rollout before its first step, with the random numbers of `evaluate`."""
         return ChosenRun(self._loop, seed, rollout)
 
     def take(self, run: ChosenRun, actions: NDArray[np.int64]) -> None:
-        """On to the next decision, with an action of each robot `[K]`: of who is to choose, that is."""
+        """Run to the next decision, with actions of all robots `[K]`; only the deciding robot's action counts."""
         choice = None
         if run.decision is not None:
             action = int(actions[run.decision.robot])
+            # A missing offer counts as "none", as the number of offers varies.
             choice = action - 1 if 1 <= action <= self._offered(run) else None
         run.go_on(choice)
 
@@ -122,7 +124,7 @@ class AreaEnv:
         return 0 if run.decision is None else min(len(run.decision.offers), self.offers)
 
     def observe(self, run: ChosenRun) -> NDArray[np.float32]:
-        """float32 `[K, M, F]`: the offers to the robot that is to choose, those of the rule's order first."""
+        """float32 `[K, M, F]`: the offers to the deciding robot, in the rule's order."""
         seen = np.zeros((self.num_agents, self.offers, len(COLUMNS)), np.float32)
         if run.decision is not None:
             number = run.decision.robot
@@ -134,7 +136,7 @@ class AreaEnv:
         return seen
 
     def legal(self, run: ChosenRun) -> NDArray[np.bool_]:
-        """bool `[K, M + 1]`: the actions that are open to each robot."""
+        """bool `[K, M + 1]`: the legal actions of each robot."""
         opened = np.zeros((self.num_agents, self.offers + 1), bool)
         opened[:, 0] = True
         if run.decision is not None:
@@ -151,7 +153,7 @@ class AreaEnv:
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:  # fmt: skip
         """Cells visited, robots lost, steps, int64 `[B]` each, of rollouts `start .. stop - 1` of the seed.
 
-        act: `(observations, open actions, generator of the rollout) -> actions [K]`.
+        act: `(observations, legal actions, generator of the rollout) -> actions [K]`.
         """
         found = np.zeros((3, stop - start), np.int64)
         for rollout in range(start, stop):
@@ -164,20 +166,20 @@ class AreaEnv:
 
 
 class AreaRuns:
-    """Environments that go on one after the other; as `Runs`."""
+    """Environments that run one after the other; see `Runs`."""
 
     def __init__(self, env: AreaEnv, count: int = 1) -> None:
         self.env, self._next = env, Next(count)
         self._runs: list[ChosenRun] = []
 
     def reset(self, seed: int | None = None) -> Told:
-        """As of `Runs`; nothing has happened yet, nobody is to choose."""
+        """As in `Runs`; before the first decision."""
         rollouts = self._next.begin(seed)
         self._runs = [self.env.begin(self._next.seed, int(rollout)) for rollout in rollouts]
         return self._tell(np.zeros((len(self._runs), self.env.num_agents), np.float32))
 
     def step(self, actions: ArrayLike) -> Told:
-        """As of `Runs`, with actions `[B, K]`; each goes on to its own next decision."""
+        """As in `Runs`, with actions `[B, K]`; each environment runs to its next decision."""
         if not self._runs:
             raise RuntimeError("step before reset")
         env = self.env
@@ -190,6 +192,7 @@ class AreaRuns:
                 continue
             new, alive = run.new, env.alive(run)
             env.take(run, given[place])
+            # Several steps pass between decisions: the reward sums them.
             rewards[place] = run.new - new - env.robot_value * (alive & ~env.alive(run))
         return self._tell(rewards)
 
@@ -209,7 +212,7 @@ class AreaRuns:
         )
 
     def picture(self) -> NDArray[np.uint8]:
-        """As of `Runs`."""
+        """As in `Runs`."""
         if not self._runs:
             raise RuntimeError("render before reset")
         now = self._runs[0].now
@@ -217,11 +220,11 @@ class AreaRuns:
         return picture_of(self.env.world, now.loop.on_grid(now.visited), cells, now.alive)
 
 
-# The environment whose actions are moves, or that whose actions are areas; and episodes of it.
+# Creation of both environments, and episodes of them.
 
 Actions = Literal["moves", "areas"]
 ONLY_OF = {"view": "moves", "rule": "areas", "offers": "areas"}
-"""What goes with one kind of actions alone."""
+"""Arguments for one kind of actions only."""
 
 
 def make_env(
@@ -236,46 +239,46 @@ def make_env(
     rule: Policy | None = None,
     offers: int | None = None,
 ) -> CoverageEnv | AreaEnv:
-    """The environment of these actions; arguments as of `mrac.env`. Raises InputError."""
+    """The environment of these actions; arguments as in `mrac.env`. Raises InputError."""
     check_word("actions", actions, get_args(Actions))
     more: dict[str, Any] = {"starts": starts, "robot_value": robot_value, "max_steps": max_steps}
     given: dict[str, Any] = {"view": view, "rule": rule, "offers": offers}
     for name, value in given.items():
         if value is not None and ONLY_OF[name] != actions:
             problem = f"{argument(name, value)}, with {argument('actions', actions)}"
-            raise UsageError(problem, expected=argument("actions", ONLY_OF[name]), fix="leave it out")
+            raise UsageError(problem, expected=argument("actions", ONLY_OF[name]), fix="omit it")
     own = {name: value for name, value in given.items() if value is not None}
     return (AreaEnv if actions == "areas" else CoverageEnv)(world, robots, **more, **own)
 
 
 def runs_of(env: CoverageEnv | AreaEnv, count: int = 1) -> Runs | AreaRuns:
-    """Episodes of so many environments."""
+    """Episodes of `count` environments."""
     return AreaRuns(env, count) if isinstance(env, AreaEnv) else Runs(env, count)
 
 
-# Whole rollouts of a policy in the environment: compiled if the policy is, else asked step by step.
+# Complete rollouts of a policy in the environment: compiled if the policy is, else called step by step.
 
 AT_ONCE = 256
-"""Rollouts that go side by side, if what they observe fits into SEEN bytes."""
+"""Rollouts that run side by side, if their observations fit into SEEN bytes."""
 SEEN = 2**27
 Ended = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 """Cells visited, robots lost, steps, int64 `[B]` each."""
 
 
 class PolicyRollouts:
-    """Rollouts of a policy, in any order: each is what it is by its id and the seed. Can be sent to other processes.
+    """Rollouts of a policy, in any order: each depends only on its id and the seed. Can be sent to other processes.
 
     Attributes:
-        spans: (start, stop) of those of rollouts 0 .. count - 1 that go side by side.
-        compiled: they run without Python.
+        spans: (start, stop) of groups of rollouts 0 .. count - 1 that run side by side.
+        compiled: the rollouts run without Python.
     """
 
     def __init__(self, env: CoverageEnv | AreaEnv, policy: Callable[..., Any] | None, seed: int, count: int) -> None:
-        """policy: a function of the observations of all robots, float32 `[K, ...]`, that returns an action each.
+        """policy: a function from the observations of all robots, float32 `[K, ...]`, to their actions `[K]`.
 
-        Of two arguments, then of a random key too (a NumPy generator where it is not compiled), its own for every
-        rollout. Under `jax.jit` it runs inside the compiled rollouts, if its actions are moves. None: a random walk
-        over the actions that are open. What is no policy is a UsageError when it is asked.
+        A second parameter receives a random key of the rollout (a NumPy generator if it is not compiled). Under
+        `jax.jit` with moves as actions it runs inside the compiled rollouts. None: a random walk over the legal
+        actions. An invalid policy raises UsageError when it is called.
         """
         self._env, self._policy, self._seed = env, policy, seed
         self.compiled = isinstance(env, CoverageEnv) and (policy is None or hasattr(policy, "lower"))
@@ -292,14 +295,15 @@ class PolicyRollouts:
 
     @fixed_flags(user_code=True)
     def __call__(self, span: tuple[int, int]) -> Ended:
-        """Rollouts `start .. stop - 1`. Raises UsageError for actions that there are not."""
+        """Rollouts `start .. stop - 1`. Raises UsageError for actions out of range."""
         if isinstance(self._env, AreaEnv):
             return self._env.roll_out(_chooser(self._env, self._policy), self._seed, *span)
         words, (start, stop) = jnp.asarray(key_of(self._seed), jnp.uint32), span
         last = start + self._width if self.compiled else stop  # one width, one program
+        # Surplus rollouts of the last group are computed and dropped.
         state, valid = self._run(words, jnp.arange(start, last, dtype=jnp.uint32))
         if not np.asarray(valid).all():
-            raise UsageError("the policy returned actions that there are not", expected=_whole_numbers(len(ACTIONS)))
+            raise UsageError("the policy returned actions out of range", expected=_whole_numbers(len(ACTIONS)))
         visited, lost, steps = (
             np.asarray(of)[: stop - start].astype(np.int64)
             for of in (state.covered, (~state.alive).sum(axis=1), state.step)
@@ -308,15 +312,15 @@ class PolicyRollouts:
 
 
 def _asking(policy: Callable[..., Any]) -> Callable[[Any, Any], Any]:
-    """The policy as a function of two arguments, which raises UsageError for whatever it raises."""
+    """The policy as a function of two arguments; its exceptions become UsageErrors."""
     try:
-        takes_luck = len(inspect.signature(policy).parameters) > 1
+        takes_key = len(inspect.signature(policy).parameters) > 1
     except (TypeError, ValueError):
-        takes_luck = False
+        takes_key = False
 
-    def ask(seen: Any, luck: Any) -> Any:
+    def ask(seen: Any, key: Any) -> Any:
         try:
-            return policy(seen, luck) if takes_luck else policy(seen)
+            return policy(seen, key) if takes_key else policy(seen)
         except Exception as error:
             raise UsageError(f"the policy raised {type(error).__name__}: {error}") from error
 
@@ -326,7 +330,7 @@ def _asking(policy: Callable[..., Any]) -> Callable[[Any, Any], Any]:
 def _chooser(
     env: AreaEnv, policy: Callable[..., Any] | None
 ) -> Callable[[NDArray[np.float32], NDArray[np.bool_], np.random.Generator], NDArray[np.int64]]:
-    """What `AreaEnv.roll_out` asks; no policy: one of the offers, or none of them, with equal chances."""
+    """The function for `AreaEnv.roll_out`; without a policy one of the offers, or none, with equal probabilities."""
     ask, compiled = None if policy is None else _asking(policy), hasattr(policy, "lower")
 
     def act(seen: NDArray[np.float32], legal: NDArray[np.bool_], draws: np.random.Generator) -> NDArray[np.int64]:
@@ -339,7 +343,7 @@ def _chooser(
 
 
 def _checked(env: CoverageEnv | AreaEnv, actions: Any, most: int) -> NDArray[Any]:
-    """What a policy returned, if it is an action below `most` for each robot."""
+    """The policy's result, if it is an action below `most` for each robot. Raises UsageError."""
     given = np.asarray(actions)
     _check(env, given)
     if not ((given >= 0) & (given < most)).all():
@@ -350,7 +354,7 @@ def _checked(env: CoverageEnv | AreaEnv, actions: Any, most: int) -> NDArray[Any
 def _check(env: CoverageEnv | AreaEnv, given: Any) -> None:
     if given.shape != (env.num_agents,):
         problem = f"the policy returned actions of shape {given.shape}"
-        raise UsageError(problem, expected=f"({env.num_agents},), one a robot")
+        raise UsageError(problem, expected=f"({env.num_agents},), one for each robot")
     if given.dtype.kind not in "iu":
         raise UsageError(f"the policy returned actions of {given.dtype}", expected="whole numbers")
 
@@ -360,9 +364,9 @@ def _whole_numbers(count: int) -> str:
 
 
 def _compiled(env: CoverageEnv, policy: Callable[..., Any] | None) -> Callable[[jax.Array, jax.Array], tuple]:
-    """One rollout, `(seed words, id) -> last state, whether all actions were such as there are`."""
+    """One rollout, `(seed words, id) -> (last state, whether all actions were in range)`."""
     ask = None if policy is None else _asking(policy)
-    closed = jnp.float32(-1e9)  # its chance is 0, and it is no infinity, which JAX_DEBUG_INFS would stop at
+    closed = jnp.float32(-1e9)  # probability 0 without an infinity, which JAX_DEBUG_INFS would report
 
     def actions_of(state: State, key: jax.Array) -> jax.Array:
         if ask is None:
@@ -386,7 +390,7 @@ def _compiled(env: CoverageEnv, policy: Callable[..., Any] | None) -> Callable[[
 
 
 class _Asked:
-    """Rollouts side by side, each robot's action asked for in Python."""
+    """Rollouts side by side, with a Python call for each team's actions."""
 
     def __init__(self, env: CoverageEnv, policy: Callable[..., Any], seed: int) -> None:
         self.env, self.ask, self.seed = env, _asking(policy), seed
@@ -395,18 +399,19 @@ class _Asked:
         self._observe = jax.jit(jax.vmap(env.observe))
 
     def __call__(self, seed: jax.Array, rollouts: jax.Array) -> tuple[State, bool]:
-        """Their last states, and that all actions were such as there are; what is over waits for the others."""
+        """The last states, and True: actions were checked; finished rollouts wait for the others."""
         states = self._begin(seed, rollouts)
         draws = [np.random.default_rng([self.seed, int(rollout)]) for rollout in rollouts]
         while not (done := np.asarray(states.done)).all():
             seen, actions = np.asarray(self._observe(states)), np.zeros((len(done), self.env.num_agents), np.int32)
             for place in np.flatnonzero(~done):
+                # Each rollout has its own generator, so the result does not depend on the grouping.
                 actions[place] = self._asked(seen[place], draws[place])
             states = self._advance(states, actions)
         return states, True
 
     def _advanced(self, state: State, actions: jax.Array) -> State:
-        """What is over stays as it is."""
+        """The next state; a finished rollout does not change."""
         after = self.env.advance(state, actions)[0]
         return jax.tree.map(lambda old, new: jnp.where(state.done, old, new), state, after)
 

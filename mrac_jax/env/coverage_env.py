@@ -1,11 +1,11 @@
-"""The environment in JAX, by JaxMARL's conventions: every robot is an agent that stays or moves to a neighbour.
+"""The environment in JAX with JaxMARL's conventions: every robot is an agent that stays or moves to a neighbour.
 
-The rules are SPEC's: a robot that enters a cell visits it, and is stopped by the first visit at which its exposure
-reaches its tolerance; staying is no visit, and robots may share cells. All is a pure function of a state, a pytree of
-fixed shapes: `jit`, `vmap` and `scan` take it. The class mirrors `jaxmarl.environments.multi_agent_env.MultiAgentEnv`
-and does not need it.
+The rules are those of docs/spec.md: a robot that enters a cell visits it, and is lost at the first visit at which its
+cumulative hazard reaches its failure threshold; staying is not a visit, and robots may share cells. All functions are
+pure functions of a state, a pytree of fixed shapes, for `jit`, `vmap` and `scan`. The class has the methods of
+`jaxmarl.environments.multi_agent_env.MultiAgentEnv` without importing it.
 
-Axis letters: `K` robots, `N = H * W` cells, `P` planes, `h, w` the map or what a robot sees of it.
+Axis letters: `K` robots, `N = H * W` cells, `P` planes, `h, w` the map or a robot's view of it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from planner.world.levels import starts_of
 from planner.world.uncertain_maps import Draws, Hazard
 from planner.world.world import World
 
-# Actions and observations of an agent, named as in JaxMARL; and the check of actions that are given.
+# Spaces of an agent, named as in JaxMARL; and checks of given actions.
 
 
 class Discrete(NamedTuple):
@@ -45,7 +45,7 @@ class Discrete(NamedTuple):
 
 
 class Box(NamedTuple):
-    """Arrays of a shape between two numbers."""
+    """Arrays of a shape with values between two bounds."""
 
     low: float
     high: float
@@ -54,10 +54,9 @@ class Box(NamedTuple):
 
 
 def checked_actions(given: Any, shape: tuple[int, ...], count: int, name: str = "actions") -> Any:
-    """The actions as an array of this shape, if each is a whole number, 0 to `count` - 1. Raises UsageError.
+    """The actions as an array of this shape, each an integer 0 .. `count` - 1. Raises UsageError for other input.
 
-    Under a trace of JAX the values are not known: there shape and type alone are checked, and what an action outside
-    the space does is undefined.
+    Under a JAX trace values are unknown: only shape and type are checked, and an action out of range is undefined.
     """
     traced = isinstance(given, jax.core.Tracer)
     try:
@@ -70,13 +69,14 @@ def checked_actions(given: Any, shape: tuple[int, ...], count: int, name: str = 
         raise UsageError(f"{name}: {shown}", expected=each)
     if traced:
         return actions
+    # Name the first action out of range: JAX would clamp its index silently.
     for place in map(tuple, np.argwhere((actions < 0) | (actions >= count)).tolist()):
         raise UsageError(f"{name}{list(place) if place else ''}: {actions[place]}", expected=each)
     return actions
 
 
 def check_agents(given: Any, agents: Sequence[str], needed: Sequence[str]) -> None:
-    """Raise UsageError unless `given` is a mapping from names of agents, from all that are `needed` among them."""
+    """Raise UsageError unless `given` is a mapping from names of agents, with all that are `needed`."""
     expected = f"a dict from names of agents, {agents[0]!r} to {agents[-1]!r}, to actions"
     if not isinstance(given, Mapping):
         raise UsageError(f"actions: {reprlib.repr(given)}", expected=expected)
@@ -85,16 +85,16 @@ def check_agents(given: Any, agents: Sequence[str], needed: Sequence[str]) -> No
             raise UsageError(f"actions of {name!r}", expected=expected, fix=did_you_mean(name, agents))
     missing = [repr(name) for name in needed if name not in given]
     if missing:
-        raise UsageError(f"no action of {', '.join(missing)}", expected=expected)
+        raise UsageError(f"no action for {', '.join(missing)}", expected=expected)
 
 
-# What a world asks of the planner's settings in an environment, and what no environment can do.
+# Settings of a world in an environment, and settings that no environment supports.
 
 
 def asked_of(world: World, **given: Any) -> Settings:
-    """The settings that a world asks for, with `given` in the place of its own, as `evaluate` has it.
+    """The settings of a world, with `given` ones instead of its own, as in `evaluate`.
 
-    Raises InputError, naming the world, for what an environment's steps do not play as `evaluate` would.
+    Raises InputError that names the world for settings that an environment does not simulate as `evaluate` does.
     """
     settings = Choices(**given).settings(world.team.settings, world.pace, by=world.source)
     settings.check_alike("the environment")
@@ -108,18 +108,18 @@ def asked_of(world: World, **given: Any) -> Settings:
         "deadline": settings.deadline is not None,
     }
     for name in (name for name, is_so in unlike.items() if is_so):
-        fix = f"leave {argument(name)} out" + (f", and give {argument('max_steps')}" if name == "deadline" else "")
+        fix = f"omit {argument(name)}" + (f", and give {argument('max_steps')}" if name == "deadline" else "")
         raise PlanError(f"the environment with {argument(name)}", source=world.source, fix=fix)
     return settings
 
 
 ACTIONS = ("stay", "north", "west", "east", "south")
-"""What an action's number means; a move that an obstacle or the border is in the way of is to stay."""
+"""Meaning of an action; a move into an obstacle or off the map is a stay."""
 PLANES = ("threat", "obstacles", "visited", "self", "others", "alive")
-"""What a robot observes, a plane each, 0 .. 1: the chance that a visit stops it, what cannot be entered, what was
-visited, where it is (nowhere once it is lost), where others are who are not lost, and the share of the team alive."""
+"""Observed planes, 0 .. 1: probability that a visit destroys the robot, obstacles and border, visited cells, the own
+cell (empty once the robot is lost), cells of other live robots, and the share of the team alive."""
 AT_ONCE = 32
-"""Episodes of a batch that begin together."""
+"""Episodes of a batch that are started together."""
 Stepped: TypeAlias = tuple[
     dict[str, jax.Array], "State", dict[str, jax.Array], dict[str, jax.Array], dict[str, jax.Array]
 ]
@@ -130,14 +130,14 @@ Stepped: TypeAlias = tuple[
          data_fields=["cell", "left", "alive", "visited", "covered", "step", "done", "harmless"])  # fmt: skip
 @dataclass(frozen=True)
 class State:
-    """Where an episode stands.
+    """State of an episode.
 
     Attributes:
         cell: int32 `[K]`, `row * W + col` of each robot. alive: bool `[K]`, not lost.
-        left: uint32 `[K, 2]`, what each still bears (`mrac_jax.arrays`).
-        visited: bool `[N]`. covered: int32, how many cells that is.
+        left: uint32 `[K, 2]`, each robot's remaining threshold (`mrac_jax.arrays`).
+        visited: bool `[N]`. covered: int32, number of visited cells.
         step: int32, team steps so far. done: bool, whether the episode is over.
-        harmless: bool `[N]`, where no hazard is, or is left; None where every visit is drawn from the threat.
+        harmless: bool `[N]`, cells without a hazard; None: every visit is drawn from the threat.
     """
 
     cell: jax.Array
@@ -151,12 +151,12 @@ class State:
 
 
 class CoverageEnv:
-    """The mission of a team on a world, `[K, ...]` inside and keyed by agent outside.
+    """The mission of a team on a world; arrays `[K, ...]` inside, dicts by agent outside.
 
     Attributes:
-        agents: "agent_0" .. "agent_K-1". num_agents: K. accessible: cells that count.
-        max_steps: at which an episode is cut off. view: how far a robot sees, in cells; None: the whole map.
-        worth: what a lost robot takes off its reward, in cells. walk: what a policy without a thought does, in words.
+        agents: "agent_0" .. "agent_K-1". num_agents: K. accessible: number of accessible cells.
+        max_steps: end of an episode. view: range of observations, in cells; None: the whole map.
+        robot_value: penalty for a lost robot, in cells. walk: name of the random baseline policy.
     """
 
     walk = "random walk"
@@ -171,9 +171,10 @@ class CoverageEnv:
         robot_value: float = 0.0,
         max_steps: int | None = None,
     ) -> None:
-        """Raises InputError for starts or numbers that are none, and for uncertain maps, values, or a team (`asked_of`)
-        that it does not play."""
+        """Raises InputError for invalid starts or numbers, and for uncertain maps, values, or team settings
+        (`asked_of`) that are not supported."""
         placed = starts_of(world, robots, starts)
+        # Latent hazards are sampled once for each rollout; other uncertain maps are not supported.
         self._hazards = world.draws if isinstance(world.doubt, Hazard) else None
         (world.check_settled if self._hazards is None else world.check_told)("the environment")
         world.check_alike("the environment")
@@ -188,7 +189,9 @@ class CoverageEnv:
         self.agents = [f"agent_{robot}" for robot in range(self.num_agents)]
         self._start = (placed[:, 0] * world.shape[1] + placed[:, 1]).astype(np.int32)
         self._next = _moves(world)
+        # A blocked move is a stay, so it is offered only as "stay".
         self._legal = np.column_stack([np.ones(len(self._next), bool), self._next[:, 1:] != self._next[:, :1]])
+        # Environments have no phases, so the first map is the only one.
         self._exposure = two_words(world.exposures[0])
         self._still = np.stack([np.nan_to_num(world.threat), ~world.free]).astype(np.float32)
         size = world.shape if view is None else (2 * view + 1, 2 * view + 1)
@@ -196,16 +199,16 @@ class CoverageEnv:
 
     @property
     def name(self) -> str:
-        """Of the environment."""
+        """Name of the environment."""
         return type(self).__name__
 
     @property
     def agent_classes(self) -> dict[str, list[str]]:
-        """All agents are alike."""
+        """One class: all agents are equal."""
         return {"robot": self.agents}
 
     def action_space(self, agent: str) -> Discrete:
-        """A number of ACTIONS."""
+        """Indices of ACTIONS."""
         return self._discrete
 
     def observation_space(self, agent: str) -> Box:
@@ -213,7 +216,7 @@ class CoverageEnv:
         return self._box
 
     def reset(self, key: jax.Array) -> tuple[dict[str, jax.Array], State]:
-        """Observations and state at t = 0. The luck of `jax.random.key(seed)` is that of rollout 0 of the seed."""
+        """Observations and state at t = 0. `jax.random.key(seed)` gives the random numbers of rollout 0 of the seed."""
         require_jax()
         return self._reset(key)
 
@@ -225,7 +228,7 @@ class CoverageEnv:
     def step(
         self, key: jax.Array, state: State, actions: dict[str, jax.Array], reset_state: State | None = None
     ) -> Stepped:
-        """As `step_env`; where the episode is over, the observations and state are those of the next one."""
+        """As `step_env`; after the end of an episode, observations and state are those of the next one."""
         require_jax()
         return self._step(key, state, self._given(actions), reset_state)
 
@@ -239,14 +242,14 @@ class CoverageEnv:
         return self.get_obs(chosen), chosen, rewards, dones, infos
 
     def step_env(self, key: jax.Array, state: State, actions: dict[str, jax.Array]) -> Stepped:
-        """One step of the team: observations, state, rewards, dones (`__all__` too), infos; `key` is not needed.
+        """One step of the team: observations, state, rewards, dones (also `__all__`), infos; `key` is not used.
 
-        A robot's reward is the cells that it was the first to enter (of robots that enter one cell in one step the
-        first by number), minus `robot_value` when it is lost; then it is done, may only stay, and has reward 0. infos:
-        `covered`, a fraction of the accessible cells, `lost` robots, `truncated`.
+        A robot's reward is the number of cells that it is the first to enter (of robots that enter a cell in the same
+        step, the first by number), minus `robot_value` when it is lost. A lost robot is done, may only stay, and has
+        reward 0. infos: `covered`, a fraction of the accessible cells, `lost` robots, `truncated`.
 
-        Raises UsageError for other agents, and for an action outside the space. Under `jit`, `vmap` or `scan` values
-        are not known: there such an action is not noticed, and what it does is undefined.
+        Raises UsageError for unknown agents, and for an action out of range. Under `jit`, `vmap` or `scan` values are
+        unknown: there such an action is not detected, and its effect is undefined.
         """
         require_jax()
         after, rewards, dones, infos = self._taken(state, self._given(actions))
@@ -264,32 +267,32 @@ class CoverageEnv:
         return after, dict(zip(self.agents, rewards, strict=True)), over, self.infos(after)
 
     def get_obs(self, state: State) -> dict[str, jax.Array]:
-        """What each robot observes, float32 `[P, h, w]`."""
+        """The observation of each robot, float32 `[P, h, w]`."""
         return dict(zip(self.agents, self.observe(state), strict=True))
 
     def get_avail_actions(self, state: State) -> dict[str, jax.Array]:
-        """Which actions are open to each robot, bool `[5]`: to a lost one, to stay."""
+        """The legal actions of each robot, bool `[5]`; a lost robot can only stay."""
         return dict(zip(self.agents, self.legal(state), strict=True))
 
     def begin(self, seed: jax.Array, rollout: jax.Array) -> State:
-        """The state at t = 0 of a rollout (uint32) of a seed, uint32 `[2]` (low, high): SPEC's luck, bit for bit."""
+        """The state at t = 0 of a rollout (uint32) of a seed, uint32 `[2]` (low, high), bit for bit as in the spec."""
         key = jnp.stack(threefry2x32(seed, jnp.uint32(OWN_KEYS), jnp.uint32(LUCK_DRAW)))
         words = threefry2x32(key, rollout, jnp.arange(self.num_agents, dtype=jnp.uint32))[0]
         none, no = jnp.int32(0), jnp.bool_(False)
-        everybody = jnp.ones(self.num_agents, bool)
+        everyone = jnp.ones(self.num_agents, bool)
         start, unvisited = jnp.asarray(self._start), jnp.zeros(len(self._next), bool)
         harmless = None if self._hazards is None else self._without(self._hazards, seed, rollout)
-        state = State(start, tolerance_words(words), everybody, unvisited, none, none, no, harmless)
-        return self._entered(state, state.cell, everybody)[0]
+        state = State(start, tolerance_words(words), everyone, unvisited, none, none, no, harmless)
+        return self._entered(state, state.cell, everyone)[0]
 
     def _without(self, hazards: Draws, seed: jax.Array, rollout: jax.Array) -> jax.Array:
-        """Cells in which no hazard is in this rollout, bool `[N]`."""
+        """Cells without a hazard in this rollout, bool `[N]`."""
         key = jnp.stack(threefry2x32(seed, jnp.uint32(OWN_KEYS), jnp.uint32(hazards.purpose)))
         word = threefry2x32(key, rollout, jnp.asarray(hazards.counter))[0] >> jnp.uint32(8)
         return word >= jnp.asarray(hazards.there)
 
     def _renewed(self, seed: jax.Array, state: State) -> State:
-        """The state, or where its episode is over rollout 0 of the seed; of a batch, luck is drawn for those alone."""
+        """The state, or rollout 0 of the seed if the episode is over; in a batch, only these are sampled."""
 
         @jax.custom_batching.custom_vmap
         def one(seed: jax.Array, state: State) -> State:
@@ -301,6 +304,7 @@ class CoverageEnv:
             seeds, states = jax.tree.map(wide, given, tuple(batched))
 
             def some(states: State) -> State:
+                # A fixed number of episodes starts at once: shapes must be static. Rows beyond are dropped.
                 (over,) = jnp.nonzero(states.done, size=min(size, AT_ONCE), fill_value=size)
                 fresh = jax.vmap(self.begin, (0, None))(seeds[over], jnp.uint32(0))
                 return jax.tree.map(lambda of, new: of.at[over].set(new, mode="drop"), states, fresh)
@@ -311,19 +315,22 @@ class CoverageEnv:
         return one(seed, state)
 
     def advance(self, state: State, actions: jax.Array) -> tuple[State, jax.Array]:
-        """The state after a team step with these actions, int `[K]`, and the rewards, float32 `[K]`."""
+        """The state after a team step with actions int `[K]`, and the rewards, float32 `[K]`."""
         actions = checked_actions(actions, (self.num_agents,), len(ACTIONS))
         cell = jnp.asarray(self._next)[state.cell, actions]
+        # Lost robots stay in place, whatever their action.
         cell = jnp.where(state.alive, cell, state.cell)
         after, new = self._entered(state, cell, cell != state.cell)
         step = state.step + 1
+        # The three outcomes of a mission without a risk limit.
         done = (after.covered == self.accessible) | ~after.alive.any() | (step >= self.max_steps)
         rewards = new.astype(jnp.float32) - self.robot_value * (state.alive & ~after.alive).astype(jnp.float32)
         return replace(after, step=step, done=done), rewards
 
     def _entered(self, state: State, cell: jax.Array, enters: jax.Array) -> tuple[State, jax.Array]:
-        """The state once these robots have entered these cells, and who was the first in one, bool `[K]`."""
+        """The state after these robots enter these cells, and whether each is the first in its cell, bool `[K]`."""
         together, lower = cell[:, None] == cell[None], np.tri(self.num_agents, k=-1, dtype=bool)
+        # Of robots that enter a cell in the same step, the first by number gets the reward.
         with_lower = together & enters[None] & lower
         new = enters & ~state.visited[cell] & ~with_lower.any(axis=1)
         exposure, harmless = jnp.asarray(self._exposure)[cell], state.harmless
@@ -333,21 +340,22 @@ class CoverageEnv:
         if harmless is not None and self._hazards is not None and self._hazards.spends:
             exposure, hit = self._spent(state.left, exposure, cell, hit)
             harmless = harmless.at[cell].max(hit)
+        # A lost robot's threshold stays, as a further subtraction would wrap around.
         left = jnp.where((enters & ~hit)[:, None], less(state.left, exposure), state.left)
-        visited = state.visited.at[cell].set(True)  # who stays is where it has been
+        visited = state.visited.at[cell].set(True)  # a robot that stays is in a visited cell
         covered = state.covered + new.sum(dtype=jnp.int32)
         return State(cell, left, state.alive & ~hit, visited, covered, state.step, state.done, harmless), new
 
     def _spent(
         self, left: jax.Array, exposure: jax.Array, cell: jax.Array, hit: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """Exposures and hits where the first hit removes a hazard: who enters later in the step, by number, is safe."""
+        """Hazards and losses if the first loss removes a hazard: robots of higher number in the step are safe."""
         together, first = cell[:, None] == cell[None], jnp.tri(self.num_agents, k=-1, dtype=bool)
         after = (together & first & hit[None]).any(axis=1)
         return jnp.where(after[:, None], jnp.uint32(0), exposure), hit & ~after
 
     def infos(self, state: State) -> dict[str, jax.Array]:
-        """What there is to know beside the rewards."""
+        """Information in addition to the rewards."""
         unfinished = (state.covered < self.accessible) & state.alive.any()
         covered = state.covered.astype(jnp.float32) / self.accessible
         lost = self.num_agents - state.alive.sum(dtype=jnp.int32)
@@ -361,6 +369,7 @@ class CoverageEnv:
     def observe(self, state: State) -> jax.Array:
         """float32 `[K, P, h, w]`: the observations of all robots."""
         robots, (height, width) = self.num_agents, self.world.shape
+        # Robots may share a cell, so the plane of the others needs a count.
         count = jnp.zeros(len(self._next), jnp.float32).at[state.cell].add(state.alive.astype(jnp.float32))
         changing = jnp.stack([state.visited.astype(jnp.float32), count]).reshape(2, height, width)
         shared = jnp.concatenate([jnp.asarray(self._still), changing])
@@ -370,13 +379,15 @@ class CoverageEnv:
             seen, own = self._windows(shared, state.cell, self.view), jnp.full(robots, 2 * self.view * (self.view + 1))
         here = jnp.where(state.alive[:, None], jax.nn.one_hot(own, seen[0, 0].size, dtype=jnp.float32), 0.0)
         here = here.reshape(robots, 1, *seen.shape[2:])
+        # The robot itself is subtracted: another robot in the same cell still shows.
         others = (seen[:, 3:] > here).astype(jnp.float32)
         alive = jnp.full_like(here, state.alive.mean(dtype=jnp.float32))
         return jnp.concatenate([seen[:, :3], here, others, alive], axis=1)
 
     def _windows(self, planes: jax.Array, cell: jax.Array, view: int) -> jax.Array:
-        """What lies within `view` rows and columns of each robot, `[K, 4, h, w]`; beyond the map is an obstacle."""
+        """Windows of `view` rows and columns around each robot, `[K, 4, h, w]`; cells off the map are obstacles."""
         beyond = jnp.array([0.0, 1.0, 0.0, 0.0], jnp.float32)[:, None, None]
+        # Shift by the fill values, since `pad` has one constant for all planes.
         padded = jnp.pad(planes - beyond, ((0, 0), (view, view), (view, view))) + beyond
         size = (len(planes), 2 * view + 1, 2 * view + 1)
         rows, cols = jnp.divmod(cell, self.world.shape[1])
@@ -384,27 +395,28 @@ class CoverageEnv:
 
 
 def _seed_of(key: jax.Array) -> jax.Array:
-    """uint32 `[2]` (low, high): what `jax.random.key` was made of."""
+    """uint32 `[2]` (low, high): the seed of `jax.random.key`."""
+    # JAX stores (high, low).
     return jax.random.key_data(key).ravel()[-2:][::-1]
 
 
 def _moves(world: World) -> NDArray[np.int32]:
-    """The cell in which each of ACTIONS ends, int32 `[N, 5]`."""
+    """The cell after each of ACTIONS, int32 `[N, 5]`."""
     here = np.arange(world.threat.size, dtype=np.int32)[:, None]
     near = neighbour_table(world.shape, world.free.ravel())
     return np.hstack([here, np.where(near == NO_CELL, here, near)])
 
 
-# Episodes of an environment driven from the host: one rollout of a seed after the other, NumPy out.
+# Episodes driven from the host: consecutive rollouts of a seed, NumPy arrays out.
 
 
 class Told(NamedTuple):
-    """What a step tells of B environments.
+    """Results of a step in B environments.
 
     Attributes:
-        seen: float32 `[B, K, ...]`, observations. legal: bool `[B, K, actions]`, those that are open.
+        seen: float32 `[B, K, ...]`, observations. legal: bool `[B, K, actions]`.
         rewards: float32 `[B, K]`. alive: bool `[B, K]`.
-        done, truncated: bool `[B]`, the episode is over; it was cut off. covered: float32 `[B]`. lost: int32 `[B]`.
+        done, truncated: bool `[B]`, the episode is over; it was truncated. covered: float32 `[B]`. lost: int32 `[B]`.
         step: int32 `[B]`, steps of the team so far.
     """
 
@@ -419,19 +431,19 @@ class Told(NamedTuple):
     step: NDArray[np.int32]
 
     def figures(self, place: int) -> dict[str, Any]:
-        """What infos of one environment hold beside masks."""
+        """Infos of one environment, without masks."""
         return {"covered": float(self.covered[place]), "lost": int(self.lost[place]), "step": int(self.step[place])}
 
 
 class Next:
-    """Which rollouts of which seed B environments begin: those that nobody has begun, in order."""
+    """Assigns rollout ids of a seed to B environments, each id once, in order."""
 
     def __init__(self, count: int) -> None:
         self.count, self.seed = count, 0
         self._next: NDArray[np.uint32] | None = None
 
     def begin(self, seed: int | None) -> NDArray[np.uint32]:
-        """Of all environments `[B]`: 0 and on of the seed, or without one the next; the first time of a random seed."""
+        """Ids for all environments `[B]`: from 0 with a seed, else the next ones; at first of a random seed."""
         SEED.check("seed", seed, optional=True)
         if seed is not None or self._next is None:
             self.seed = int(np.random.SeedSequence().generate_state(1, np.uint64)[0]) if seed is None else int(seed)
@@ -440,17 +452,17 @@ class Next:
         return begun
 
     def after(self, over: NDArray[np.bool_]) -> NDArray[np.uint32]:
-        """Of each environment `[B]` the one that follows; those that are over begin it."""
+        """The next id of each environment `[B]`; those that are over take it."""
         assert self._next is not None
         following, self._next = self._next, self._next + over.astype(np.uint32) * np.uint32(self.count)
         return following
 
 
 class Runs:
-    """B environments. The n-th episode of environment b, counted from the last seed given, is rollout n B + b of it.
+    """B environments. Episode n of environment b since the last given seed is rollout n B + b of that seed.
 
-    JAX starts with the first `reset`: until then the process may be forked. A copy, pickled or not, goes on from where
-    it was made.
+    JAX starts with the first `reset`: until then the process may be forked. A copy, also a pickled one, continues from
+    the state at which it was made.
     """
 
     def __init__(self, env: CoverageEnv, count: int = 1) -> None:
@@ -459,7 +471,8 @@ class Runs:
         self.state: State | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but compiled programs, which stay in their process; arrays as NumPy's, which do not start JAX."""
+        """All but compiled programs; arrays as NumPy arrays, so that unpickling does not start JAX."""
+        # Compiled programs belong to their process.
         kept = {name: value for name, value in vars(self).items() if name not in ("_begin", "_advance")}
         return kept | {"state": jax.tree.map(np.asarray, self.state)}
 
@@ -473,24 +486,24 @@ class Runs:
 
     @fixed_flags()
     def reset(self, seed: int | None = None) -> Told:
-        """Begin: rollout 0 and on of the seed, or without one the next ones; the first time of a random seed."""
+        """Start: rollouts from 0 with a seed, else the next ones; at first of a random seed."""
         rollouts = self._next.begin(seed)
         self._seed = np.asarray(key_of(self._next.seed), np.uint32)
-        self.state, told = self._begin(self._seed, rollouts)
-        return Told(*jax.device_get(told))
+        self.state, batch = self._begin(self._seed, rollouts)
+        return Told(*jax.device_get(batch))
 
     @fixed_flags()
     def step(self, actions: ArrayLike) -> Told:
-        """Take the actions `[B, K]`; where the episode was over before, they are ignored and the next one begins.
+        """Take the actions `[B, K]`; if an episode was over, its actions are ignored and the next one starts.
 
-        Raises UsageError for actions outside the space; the state is then what it was.
+        Raises UsageError for actions out of range; the state then stays unchanged.
         """
         if self.state is None:
             raise RuntimeError("step before reset")
         given = checked_actions(actions, (self._next.count, self.env.num_agents), len(ACTIONS))
         rollouts = self._next.after(np.asarray(self.state.done))
-        self.state, told = self._advance(self._seed, rollouts, self.state, given.astype(np.int32))
-        return Told(*jax.device_get(told))
+        self.state, batch = self._advance(self._seed, rollouts, self.state, given.astype(np.int32))
+        return Told(*jax.device_get(batch))
 
     def _began(self, seed: jax.Array, rollouts: jax.Array) -> tuple[State, tuple[jax.Array, ...]]:
         states = jax.vmap(self.env.begin, (None, 0))(seed, rollouts)
@@ -512,7 +525,7 @@ class Runs:
         return seen, legal, rewards, states.alive, *ends
 
     def picture(self) -> NDArray[np.uint8]:
-        """The first environment in colours, uint8 `[H * SCALE, W * SCALE, 3]`: robots blue, lost ones black."""
+        """Picture of the first environment, uint8 `[H * SCALE, W * SCALE, 3]`: robots blue, lost robots black."""
         if self.state is None:
             raise RuntimeError("render before reset")
         state = jax.tree.map(lambda of: np.asarray(of[0]), self.state)
@@ -522,7 +535,7 @@ class Runs:
 def picture_of(
     world: World, visited: NDArray[np.bool_], cell: NDArray[np.integer], alive: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
-    """A team in colours, uint8 `[H * SCALE, W * SCALE, 3]`: robots blue, lost ones black; visited `[N]` is darker."""
+    """Picture of a team, uint8 `[H * SCALE, W * SCALE, 3]`: robots blue, lost ones black; visited `[N]` is darker."""
     threat = np.nan_to_num(world.threat)
     pale = 1.0 - threat / max(float(threat.max()), 1e-9)
     colours = np.stack([np.ones_like(pale), pale, pale], axis=-1) * np.where(visited, 0.8, 1.0).reshape(
@@ -535,4 +548,4 @@ def picture_of(
 
 
 SCALE = 8
-"""Pixels a cell."""
+"""Pixels for each cell."""

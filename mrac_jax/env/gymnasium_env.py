@@ -1,4 +1,4 @@
-"""The team as one agent, with Gymnasium's API: one environment, or many at once; registered as `mrac/Coverage-v0`."""
+"""The team as one agent with Gymnasium's API: one environment, or a batch; registered as `mrac/Coverage-v0`."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def _made(world: World | CoverageEnv | AreaEnv, robots: int | None, more: dict[s
 
 
 def _spaces(env: CoverageEnv | AreaEnv) -> tuple[spaces.Box, spaces.MultiDiscrete]:
-    """Of what all robots observe, float32 `[K, ...]`, and of an action for each."""
+    """Spaces of the observations of all robots, float32 `[K, ...]`, and of their actions."""
     box, actions = env.observation_space(env.agents[0]), env.action_space(env.agents[0]).n
     seen = spaces.Box(box.low, box.high, (env.num_agents, *box.shape), np.float32)
     return seen, spaces.MultiDiscrete([actions] * env.num_agents)
 
 
 class TeamEnv(gymnasium.Env):
-    """One episode after the other; the reward is that of all robots together."""
+    """Consecutive episodes; the reward is the sum over all robots."""
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 8}  # noqa: RUF012 - Gymnasium's
 
@@ -42,28 +42,28 @@ class TeamEnv(gymnasium.Env):
         render_mode: str | None = None,
         **more: Any,
     ) -> None:
-        """`world`: or the environment that this is a face of; `more`: as of `mrac.env`."""
+        """`world`: or the environment to wrap; `more`: as in `mrac.env`."""
         self._runs, self.render_mode = runs_of(_made(world, robots, more)), render_mode
         self.observation_space, self.action_space = _spaces(self._runs.env)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray, dict[str, Any]]:
-        """What all robots observe at t = 0; `seed`: rollout 0 of it, then 1, ...: the luck of `evaluate`."""
+        """Observations of all robots at t = 0; `seed`: its rollouts 0, 1, ... with the random numbers of `evaluate`."""
         super().reset(seed=seed)
-        told = self._runs.reset(seed)
-        return told.seen[0], self._info(told)
+        batch = self._runs.reset(seed)
+        return batch.seen[0], self._info(batch)
 
     def step(self, action: ArrayLike) -> tuple[NDArray, float, bool, bool, dict[str, Any]]:
-        """A team step with an action for each robot, `[K]`. Raises UsageError for one outside the space."""
+        """A team step with actions `[K]`. Raises UsageError for an action out of range."""
         env = self._runs.env
         given = checked_actions(action, (env.num_agents,), env.action_space(env.agents[0]).n)
-        told = self._runs.step(given[None])
-        cut = bool(told.truncated[0])
-        return told.seen[0], float(told.rewards[0].sum()), bool(told.done[0]) and not cut, cut, self._info(told)
+        batch = self._runs.step(given[None])
+        cut = bool(batch.truncated[0])
+        return batch.seen[0], float(batch.rewards[0].sum()), bool(batch.done[0]) and not cut, cut, self._info(batch)
 
-    def _info(self, told: Told) -> dict[str, Any]:
-        return {"action_mask": told.legal[0].astype(np.int8), **told.figures(0)}
+    def _info(self, batch: Told) -> dict[str, Any]:
+        return {"action_mask": batch.legal[0].astype(np.int8), **batch.figures(0)}
 
     def render(self) -> NDArray[np.uint8] | None:
         """A picture `[H, W, 3]`, with `render_mode="rgb_array"`."""
@@ -71,14 +71,14 @@ class TeamEnv(gymnasium.Env):
 
 
 class TeamVectorEnv(VectorEnv):
-    """Many environments in one compiled step. One that is over begins anew in the next, whose action it ignores."""
+    """A batch of environments in one compiled step. A finished one restarts in the next step and ignores its action."""
 
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 - Gymnasium's
 
     def __init__(
         self, world: World | CoverageEnv | AreaEnv, robots: int | None = None, *, num_envs: int = 1, **more: Any
     ) -> None:
-        """As of `TeamEnv`."""
+        """As `TeamEnv`."""
         self._runs, self.num_envs = runs_of(_made(world, robots, more), num_envs), num_envs
         self.single_observation_space, self.single_action_space = _spaces(self._runs.env)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -87,23 +87,23 @@ class TeamVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray, dict[str, Any]]:
-        """Begin all; with a seed its rollouts 0 .. B - 1."""
+        """Start all; with a seed, its rollouts 0 .. B - 1."""
         super().reset(seed=seed)
-        told = self._runs.reset(seed)
-        return told.seen, self._info(told)
+        batch = self._runs.reset(seed)
+        return batch.seen, self._info(batch)
 
     def step(self, actions: ArrayLike) -> tuple[NDArray, NDArray, NDArray, NDArray, dict[str, Any]]:
-        """A step of all with actions `[B, K]`. Raises UsageError for one outside the space."""
-        told = self._runs.step(actions)
-        rewards = told.rewards.sum(axis=1).astype(np.float64)
-        return told.seen, rewards, told.done & ~told.truncated, told.truncated, self._info(told)
+        """A step of all with actions `[B, K]`. Raises UsageError for an action out of range."""
+        batch = self._runs.step(actions)
+        rewards = batch.rewards.sum(axis=1).astype(np.float64)
+        return batch.seen, rewards, batch.done & ~batch.truncated, batch.truncated, self._info(batch)
 
-    def _info(self, told: Told) -> dict[str, Any]:
+    def _info(self, batch: Told) -> dict[str, Any]:
         return {
-            "action_mask": told.legal.astype(np.int8),
-            "covered": told.covered,
-            "lost": told.lost,
-            "step": told.step,
+            "action_mask": batch.legal.astype(np.int8),
+            "covered": batch.covered,
+            "lost": batch.lost,
+            "step": batch.step,
         }
 
 

@@ -1,4 +1,4 @@
-"""`mrac.env`: the environment of a world and a team, for the library that one uses."""
+"""`mrac.env`: the environment of a world and a team, with the API of a library."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FACES: tuple[Face, ...] = get_args(Face)
 LEFT = ("jumanji", "pymarl")
 RENDERED = ("pettingzoo", "gymnasium")
 EXTRA = {"pettingzoo": "mrac-jax[env]", "gymnasium": "mrac-jax[env]"}
-"""What brings the package of a face."""
+"""Extra that installs the package of a face."""
 
 
 def env(
@@ -36,25 +36,32 @@ def env(
     num_envs: int = 1,
     render_mode: Literal["rgb_array"] | None = None,
 ) -> Any:
-    """The mission as an environment, in which policies are learned.
+    """The mission as an environment for learning policies.
 
-    Every robot is an agent. Each step it stays or moves to a neighbour; what it enters is visited and may stop it, by
-    the rules and the luck of `evaluate`. It observes float32 planes `[6, h, w]` (threat, obstacles, visited, itself,
-    others, share of the team alive); its reward is the cells it visits first, less `robot_value` when it is lost.
+    Every robot is an agent. In each step it stays or moves to a neighbour. A move visits the cell and may destroy the
+    robot, with the rules and random numbers of `evaluate`. It observes float32 planes `[6, h, w]` (threat, obstacles,
+    visited, itself, others, share of the team alive). Its reward is the number of cells that it visits first, minus
+    `robot_value` when it is lost.
 
     Args:
-        robots, starts: as of `plan`.
-        actions: "moves"; "areas": a step goes on until a robot needs an area, which is its action, and the planner
-            drives it there and over it. Observed are its offers, float32 `[offers, 8]`
-            (`mrac_jax.env.area_env`).
-        view: how many rows and columns away a robot sees; None: the whole map.
-        rule: by which robots travel and cover, and offers are in order: a policy of `plan`; None: "mrac".
-        offers: areas that a robot is shown at most; None: 8.
-        worth: what a lost robot takes off its reward, in cells.
-        max_steps: at which an episode is cut off; None: twice the accessible cells, with areas the planner's own end.
-        face: "pettingzoo": a `ParallelEnv`; "gymnasium": an `Env`, "vector": a `VectorEnv` of `num_envs`, the team as
-            one agent; "jax": the class that all stand on, by JaxMARL's conventions, with moves alone.
-        render_mode: "rgb_array": `render()` of PettingZoo's or Gymnasium's face draws a picture.
+        robots, starts: as in `plan`.
+        actions: "moves"; "areas": a step runs until a robot needs an area, which is its action, and the planner drives
+            the robot. Observations are its offers, float32 `[offers, 8]` (`mrac_jax.env.area_env`).
+        view: range of observations in rows and columns; None: the whole map.
+        rule: policy of `plan` that moves the robots and orders the offers; None: "mrac".
+        offers: largest number of offered areas; None: 8.
+        robot_value: penalty for a lost robot, in cells.
+        max_steps: end of an episode; None: twice the accessible cells, with areas the planner's step limit.
+        face: "pettingzoo": a `ParallelEnv`; "gymnasium": an `Env`, "vector": a `VectorEnv` of `num_envs`, with the team
+            as one agent; "jax": the underlying class, with JaxMARL's conventions, for moves only.
+        num_envs: size of a "vector" environment.
+        render_mode: "rgb_array": `render()` of PettingZoo's or Gymnasium's environment draws a picture.
+
+    Returns:
+        The environment.
+
+    Raises:
+        InputError: an invalid argument, or a world that environments do not support.
     """
     if face in LEFT:
         raise UsageError(f"{argument('face', face)} left with release 0.4", fix="use release 0.3, or face='jax'")
@@ -63,7 +70,7 @@ def env(
     if render_mode is not None:
         check_word("render_mode", render_mode, ("rgb_array",))
         if face not in RENDERED:
-            raise UsageError(f"{argument('face', face)} draws no pictures", fix=f"leave {argument('render_mode')} out")
+            raise UsageError(f"{argument('face', face)} draws no pictures", fix=f"omit {argument('render_mode')}")
     package = "gymnasium" if face == "vector" else face
     if package in EXTRA and find_spec(package) is None:
         raise UsageError(f"{package} is not installed", fix=f"pip install '{EXTRA[package]}'")

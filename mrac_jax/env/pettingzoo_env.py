@@ -1,4 +1,4 @@
-"""The environment with PettingZoo's parallel API: dicts keyed by agent; who is lost leaves `agents`."""
+"""The environment with PettingZoo's parallel API: dicts by agent; lost robots leave `agents`."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ Dicts = tuple[dict[str, NDArray], dict[str, float], dict[str, bool], dict[str, b
 
 
 class CoverageParallelEnv(ParallelEnv):
-    """Robots that move, or that are given areas; `infos[agent]["action_mask"]` says which actions are open.
+    """Robots that move, or choose areas; `infos[agent]["action_mask"]` gives the legal actions.
 
-    `reset(seed=s)` begins rollout 0 of that seed, a `reset()` after it rollout 1, and so on: the luck of `evaluate`.
+    `reset(seed=s)` starts rollout 0 of that seed, the next `reset()` rollout 1, and so on, with the random numbers of
+    `evaluate`.
     """
 
     def __init__(self, env: CoverageEnv | AreaEnv, render_mode: str | None = None) -> None:
@@ -34,44 +35,43 @@ class CoverageParallelEnv(ParallelEnv):
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space:
-        """A number of ACTIONS of `coverage_env`, or 0 or one of the M offers."""
+        """Indices of ACTIONS of `coverage_env`, or 0 .. M for the offers."""
         return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray], dict[str, dict[str, Any]]]:
         """Observations and infos at t = 0."""
-        told = self._runs.reset(seed)
+        batch = self._runs.reset(seed)
         self.agents = list(self.possible_agents)
-        return self._of_agents(told.seen[0]), self._infos(told)
+        return self._of_agents(batch.seen[0]), self._infos(batch)
 
     def step(self, actions: dict[str, Any]) -> Dicts:
-        """Observations, rewards, terminations, truncations, infos of the agents there were.
+        """Observations, rewards, terminations, truncations and infos of the present agents.
 
-        Raises UsageError for an agent that there is not, for one of `agents` without an action, and for an action
-        outside the space.
+        Raises UsageError for an unknown agent, for one of `agents` without an action, and for an action out of range.
         """
         check_agents(actions, self.possible_agents, self.agents)
         spaces = ((name, int(space.n)) for name, space in self.action_spaces.items())
         given = [checked_actions(actions.get(name, 0), (), count, f"action of {name}") for name, count in spaces]
-        told = self._runs.step([given])
-        ended, cut = bool(told.done[0] and not told.truncated[0]), bool(told.truncated[0])
-        alive = dict(zip(self.possible_agents, told.alive[0].tolist(), strict=True))
+        batch = self._runs.step([given])
+        ended, cut = bool(batch.done[0] and not batch.truncated[0]), bool(batch.truncated[0])
+        alive = dict(zip(self.possible_agents, batch.alive[0].tolist(), strict=True))
         before = list(self.agents)
-        rewards = self._of_agents(told.rewards[0].tolist())
+        rewards = self._of_agents(batch.rewards[0].tolist())
         terminations = {name: ended or not alive[name] for name in before}
         truncations = {name: cut and alive[name] for name in before}
-        seen, infos = self._of_agents(told.seen[0]), self._infos(told)
+        seen, infos = self._of_agents(batch.seen[0]), self._infos(batch)
         self.agents = [name for name in before if not terminations[name] and not truncations[name]]
         return seen, rewards, terminations, truncations, infos
 
     def _of_agents(self, each: Any) -> dict[str, Any]:
-        """What belongs to each agent that there still is."""
+        """The values of the agents that are still present."""
         return {name: of for name, of in zip(self.possible_agents, each, strict=True) if name in self.agents}
 
-    def _infos(self, told: Told) -> dict[str, dict[str, Any]]:
-        of_all = told.figures(0)
-        masks = self._of_agents(told.legal[0].astype(np.int8))
+    def _infos(self, batch: Told) -> dict[str, dict[str, Any]]:
+        of_all = batch.figures(0)
+        masks = self._of_agents(batch.legal[0].astype(np.int8))
         return {name: {"action_mask": mask, **of_all} for name, mask in masks.items()}
 
     def render(self) -> NDArray[np.uint8] | None:

@@ -1,1 +1,1 @@
-"""What the viewers draw: topics, schemas, messages, layouts."""
+"""Topics, schemas, messages and layouts for viewers of recordings."""

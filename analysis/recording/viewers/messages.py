@@ -1,6 +1,6 @@
-"""Every message of one rollout, in order: the exact data topics, and what viewers draw.
+"""Messages of one rollout, in order of time: the exact data topics, and topics that viewers draw.
 
-The messages depend on world, plan, trace and clock alone, so that a replay compares them byte for byte.
+They depend only on world, plan, trace and clock, so that a replay compares them byte for byte.
 """
 
 from __future__ import annotations
@@ -39,11 +39,10 @@ from planner.tally import Trace
 from planner.world.image_files import FULL, NO_VALUE
 from planner.world.world import World
 
-# What viewers draw of the map: threats, obstacles, visits, areas with their owners, and what robots learn of it.
+# Map topics: threats, obstacles, visits, areas with their owners, and the map as robots learn it.
 #
-# In two forms: foxglove.Grid for Foxglove and Lichtblick; nav_msgs/OccupancyGrid and foxglove.VoxelGrid, of which each
-# voxel is a coloured plate, for Rerun. In all of them row 0 of the message is the lowest y. Axis letters: `N = H * W`
-# cells.
+# Two forms: foxglove.Grid for Foxglove and Lichtblick; nav_msgs/OccupancyGrid and foxglove.VoxelGrid, with a coloured
+# plate for each voxel, for Rerun. In all of them row 0 of the message is the lowest y. Axis letters: `N = H * W` cells.
 
 RGBA = np.dtype([(colour, "u1") for colour in ("red", "green", "blue", "alpha")])
 TRUTH, FOG = (np.dtype([(value, "<f4"), *RGBA.descr]) for value in ("threat", "seen_at"))
@@ -51,17 +50,17 @@ _KINDS = {"u1": PackedElementField.UINT8, "u2": PackedElementField.UINT16, "f4":
 HEIGHTS = {
     "threat": 0.0, "truth": 0.0, "areas": 0.02, "voxels": 0.02, "visited": 0.04, "obstacles": 0.06, "fog": 0.08,
 }  # fmt: skip
-"""Height above the ground of each layer, in cells, so that they do not fight for the same pixels."""
+"""Height above the ground of each layer, in cells, so that layers do not hide each other."""
 DARK = (15, 70)
 MAP_VOXEL_HEIGHT = 0.1
 OPAQUE = 255
 MOST_COUNTED = 255
 FAINT, PALE, SOLID = 20, 70, 200
-"""Alpha of cells not visited yet, in nobody's area and in somebody's, and visited."""
+"""Alpha of cells: not visited in an unassigned area, not visited in an assigned area, visited."""
 
 
 class MapDrawer:
-    """Draws one world in one rollout. What changes is kept as the messages want it, lowest row first."""
+    """Draws one world in one rollout. Changing arrays are kept in message order, lowest row first."""
 
     def __init__(self, world: World, accessible: NDArray[np.bool_]) -> None:
         """`accessible`: bool `[H, W]`."""
@@ -76,7 +75,7 @@ class MapDrawer:
             "areas": _grid(self.place("areas"), world, RGBA),
         }
         cells = np.arange(world.threat.size).reshape(world.shape)
-        self._at = np.flipud(cells).reshape(-1)  # its own inverse: the place of each cell in a message
+        self._at = np.flipud(cells).reshape(-1)  # position of each cell in a message; it is its own inverse
         self._counts = np.zeros(world.threat.size, dtype=np.uint8)
         self._rgba = np.zeros((world.threat.size, 4), dtype=np.uint8)
         self._plates = np.zeros((world.threat.size, 4), dtype=np.uint8)
@@ -85,12 +84,12 @@ class MapDrawer:
         self._first = np.full(world.threat.size, NO_ROBOT, dtype=np.int32)  # of the first visit
 
     def enter(self, cells: NDArray[np.int32]) -> None:
-        """Robots enter these cells, one after the other."""
+        """Count entries of robots into these cells."""
         for place in self._at[cells].tolist():
             self._counts[place] = min(int(self._counts[place]) + 1, MOST_COUNTED)
 
     def first_visit(self, cells: NDArray[np.int32], robots: NDArray[np.int32]) -> None:
-        """These cells are visited for the first time."""
+        """Mark these cells as visited, by these robots first."""
         if not len(cells):
             return
         places, self.changed = self._at[cells], True
@@ -99,7 +98,7 @@ class MapDrawer:
         self._plates[places, :3], self._plates[places, 3] = topics.robots_rgb(robots), OPAQUE
 
     def hold(self, areas: AreaMap) -> None:
-        """Who holds what from now on."""
+        """Set the areas and their robots."""
         self.changed = True
         unseen = self._first == NO_ROBOT
         at = self._at[unseen]
@@ -109,15 +108,15 @@ class MapDrawer:
         self._plates[unseen, :3], self._plates[unseen, 3] = topics.pale(rgb), np.where(inside & owned, OPAQUE, 0)
 
     def believe(self, threat: NDArray[np.float32], seen: NDArray[np.bool_]) -> None:
-        """From now on this is the map, float32 `[H, W]`, NaN = obstacle, and these cells of it are known."""
+        """Set the team's map, float32 `[H, W]`, NaN = obstacle, and its seen cells."""
         self._threat, self._unknown = threat, ~seen
 
     def change(self, threat: NDArray[np.float32]) -> None:
-        """From now on these are the threats, float32 `[H, W]`, NaN = obstacle."""
+        """Set the threats, float32 `[H, W]`, NaN = obstacle."""
         self._threat = threat
 
     def place(self, layer: str) -> Place:
-        """Where a layer lies."""
+        """The pose of a layer."""
         x, y, yaw = self.world.origin
         return Place(x, y, HEIGHTS[layer] * self.world.cell_size, yaw, self.world.cell_size)
 
@@ -126,8 +125,8 @@ class MapDrawer:
         return self._send("threat", time, np.flipud(np.nan_to_num(self._threat, nan=0.0)).astype("<f4"))
 
     def threat_occupancy(self, time: int) -> bytes:
-        """OccupancyGrid: safe cells 0, dangerous ones 15 to 70 for the map's largest threat, obstacles 100, cells that
-        nobody reaches, or that robots have not seen, -1."""
+        """OccupancyGrid: safe cells 0, cells with threat 15 to 70 (the map's largest), obstacles 100, cells that are
+        inaccessible, or not seen yet, -1."""
         threat = np.nan_to_num(self._threat, nan=0.0).astype(np.float64)
         shade = np.where(threat > 0, np.round(DARK[0] + (DARK[1] - DARK[0]) * threat / max(threat.max(), 1e-9)), 0)
         shade[np.isnan(self._threat)] = FULL
@@ -135,13 +134,13 @@ class MapDrawer:
         return occupancy_grid(time, self.place("threat"), np.flipud(shade).astype(np.int8))
 
     def obstacles(self, time: int) -> Any:
-        """foxglove.Grid, red green blue alpha; alpha 0 where free."""
+        """foxglove.Grid, red green blue alpha; alpha 0 in free cells."""
         rgba = np.zeros((*self.world.shape, 4), dtype=np.uint8)
         rgba[np.isnan(self._threat)] = topics.OBSTACLE
         return self._send("obstacles", time, np.flipud(rgba))
 
     def truth(self, time: int, threat: NDArray[np.float32]) -> Any:
-        """foxglove.Grid, float32 `threat` `[H, W]`, 0 at obstacles, red green blue alpha: what robots meet."""
+        """foxglove.Grid of the true map: float32 `threat` `[H, W]`, 0 at obstacles, red green blue alpha."""
         cells, known = np.zeros(threat.shape, dtype=TRUTH), np.nan_to_num(threat, nan=0.0)
         cells["threat"] = known
         share = known[..., None] / max(float(known.max()), 1e-9)
@@ -151,7 +150,7 @@ class MapDrawer:
         return self._send("truth", time, np.flipud(cells))
 
     def fog(self, time: int, when: NDArray[np.int32]) -> Any:
-        """foxglove.Grid, float32 `seen_at` (steps; -1: not yet), red green blue alpha; alpha 0 where it was seen.
+        """foxglove.Grid, float32 `seen_at` (steps; -1: not yet), red green blue alpha; alpha 0 in seen cells.
 
         `when`: int32 `[H, W]`, the step at which each cell is first seen.
         """
@@ -166,17 +165,17 @@ class MapDrawer:
 
     def areas(self, time: int) -> Any:
         """foxglove.Grid, red green blue alpha: visited cells in the solid colour of their first visitor, others in the
-        pale colour of their area's owner, grey where it has none."""
+        pale colour of the robot that holds their area, grey if there is none."""
         return self._send("areas", time, self._rgba)
 
     def areas_voxels(self, time: int) -> Any:
-        """foxglove.VoxelGrid: the same as plates; none where an area has no owner."""
+        """foxglove.VoxelGrid: `areas` as plates; none in areas without a robot."""
         self._voxels.timestamp.FromNanoseconds(time)
         self._voxels.data = self._plates.tobytes()
         return self._voxels
 
     def _send(self, layer: str, time: int, values: NDArray) -> Any:
-        """A foxglove.Grid of values in the message's order."""
+        """A foxglove.Grid with values in message order."""
         grid = self._grids[layer]
         grid.timestamp.FromNanoseconds(time)
         grid.data = values.tobytes()
@@ -184,14 +183,14 @@ class MapDrawer:
 
 
 def _map_paint(cells: NDArray, rgb: NDArray, alpha: NDArray | int) -> None:
-    """Colours of cells `[H, W]`; `rgb` `[..., 3]`."""
+    """Set the colours of cells `[H, W]`; `rgb` `[..., 3]`."""
     for name, value in zip(("red", "green", "blue"), np.moveaxis(rgb, -1, 0), strict=True):
         cells[name] = value
     cells["alpha"] = alpha
 
 
 def _grid(place: Place, world: World, fields: np.dtype) -> Any:
-    """A foxglove.Grid without data: where it lies, and its fields one after the other."""
+    """A foxglove.Grid without data: pose, and packed fields."""
     grid = Grid(frame_id=FRAME, column_count=world.shape[1])
     _lay(grid, place, fields, world.shape[1])
     return grid
@@ -206,7 +205,7 @@ def voxel_grid(place: Place, shape: tuple[int, int], height: float) -> Any:
 
 
 def _lay(grid: Any, place: Place, fields: np.dtype, columns: int) -> None:
-    """Where a grid lies, and its fields one after the other."""
+    """Set the pose of a grid, and its packed fields."""
     grid.pose.position.x, grid.pose.position.y, grid.pose.position.z = place.x, place.y, place.z
     grid.pose.orientation.z, grid.pose.orientation.w = place.turned
     grid.cell_size.x = grid.cell_size.y = place.cell
@@ -215,43 +214,43 @@ def _lay(grid: Any, place: Place, fields: np.dtype, columns: int) -> None:
 
 
 def add_fields(message: Any, fields: np.dtype) -> None:
-    """Tell a message what its packed data hold: the named fields, which viewers know."""
+    """Describe the packed data of a message by fields that viewers know."""
     for name, (kind, offset, *_) in (fields.fields or {}).items():
         if kind.str[1:] in _KINDS:
             message.fields.add(name=name, offset=offset, type=_KINDS[kind.str[1:]])
 
 
-# What viewers draw of threats that move: a red cube each, and a point for those that draw no markers.
+# Topics of moving threats: a red cube each, and a point for viewers without markers.
 #
-# Axis letters: `T` = time + 1 steps, `M` movers.
+# Axis letters: `T` = time + 1 steps, `M` moving threats.
 
-_MOVERS_POINT = np.dtype([*((axis, "<f4") for axis in "xyz"), *RGBA.descr])
-MOVERS_HEIGHT, SIDE = 0.5, 0.7
-"""Above the ground, and of a cube, in cells."""
+_THREAT_POINT = np.dtype([*((axis, "<f4") for axis in "xyz"), *RGBA.descr])
+THREAT_HEIGHT, SIDE = 0.5, 0.7
+"""Height above the ground, and side of a cube, in cells."""
 
 
-class MoverDrawer:
-    """Draws the movers of one rollout."""
+class MovingThreatDrawer:
+    """Draws the moving threats of one rollout."""
 
     def __init__(self, world: World, ways: NDArray[np.int64]) -> None:
-        """`ways` `[T, M]`: the cell of each at the end of each step; none: nothing is drawn."""
+        """`ways` `[T, M]`: the cell of each threat at the end of each step; nothing is drawn if M is 0."""
         self._xy, self._scene = world.to_xy(ways), SceneUpdate()
-        self._cloud = PointCloud(frame_id=FRAME, point_stride=_MOVERS_POINT.itemsize)
+        self._cloud = PointCloud(frame_id=FRAME, point_stride=_THREAT_POINT.itemsize)
         self._cloud.pose.orientation.w = 1.0
         self._cloud.pose.position.SetInParent()
-        add_fields(self._cloud, _MOVERS_POINT)
-        self._points = np.zeros(ways.shape[1], dtype=_MOVERS_POINT)
-        self._points["z"], self._points["alpha"] = MOVERS_HEIGHT * world.cell_size, 255
+        add_fields(self._cloud, _THREAT_POINT)
+        self._points = np.zeros(ways.shape[1], dtype=_THREAT_POINT)
+        self._points["z"], self._points["alpha"] = THREAT_HEIGHT * world.cell_size, 255
         self._points["red"], self._points["green"], self._points["blue"] = topics.MOVER
         for number in range(ways.shape[1]):
             cube = self._scene.entities.add(frame_id=FRAME, id=f"mover {number}").cubes.add()
-            cube.pose.orientation.w, cube.pose.position.z = 1.0, MOVERS_HEIGHT * world.cell_size
+            cube.pose.orientation.w, cube.pose.position.z = 1.0, THREAT_HEIGHT * world.cell_size
             cube.size.x = cube.size.y = cube.size.z = SIDE * world.cell_size
             cube.color.r, cube.color.g, cube.color.b = (part / 255 for part in topics.MOVER)
             cube.color.a = 1.0
 
     def messages(self, time: int, step: int) -> Iterator[tuple[str, Any]]:
-        """(topic, message) of all of them."""
+        """(topic, message) of all moving threats."""
         if not len(self._points):
             return
         for entity, (x, y) in zip(self._scene.entities, self._xy[step].tolist(), strict=True):
@@ -265,18 +264,18 @@ class MoverDrawer:
         yield "/movers/points", self._cloud
 
 
-# What viewers draw of the robots: markers with numbers, points, poses, frames, and lines of their paths.
+# Robot topics: numbered markers, points, poses, frames, and lines of their paths.
 #
 # Axis letters: `T` = time + 1 steps, `K` robots, `P` points.
 
 _ROBOTS_POINT = np.dtype([*((axis, "<f4") for axis in "xyz"), *RGBA.descr, ("robot", "<u2"), ("", "V2")])
 ROBOTS_HEIGHT, POINT_HEIGHT, PLANNED_HEIGHT, DRIVEN_HEIGHT = 0.35, 1.0, 0.1, 0.2
-"""Of robots' balls and points, and of the lines of their paths, above the ground, in cells."""
+"""Height above the ground of robots' balls and points, and of the lines of their paths, in cells."""
 BALL = 0.04
-"""Diameter of a robot's ball, in sides of the map: at least 0.9 cells."""
+"""Diameter of a robot's ball, as a share of the map's longer side; at least 0.9 cells."""
 LABEL_PIXELS = 14.0
 VOXEL_AT, ROBOTS_VOXEL_HEIGHT = 0.15, 0.8
-"""Where a robot's block begins, and how high it is, in cells."""
+"""Height at which a robot's block begins, and its height, in cells."""
 
 
 class RobotDrawer:
@@ -287,7 +286,7 @@ class RobotDrawer:
     """
 
     def __init__(self, world: World, cells: NDArray[np.int32], alive: NDArray[np.bool_]) -> None:
-        """`cells`, `alive` `[T, K]`: where each robot is at the end of each step, and whether it lives."""
+        """`cells`, `alive` `[T, K]`: each robot's cell at the end of each step, and whether it is alive."""
         self._world, self._cells = world, cells
         self.xy = world.to_xy(cells)
         self.yaw = np.stack([headings(own.astype(np.int64), world) for own in cells.T], axis=1)
@@ -297,7 +296,7 @@ class RobotDrawer:
         self._frames, self._poses, self._scene = FrameTransforms(), PosesInFrame(frame_id=FRAME), SceneUpdate()
         self._cloud = PointCloud(frame_id=FRAME, point_stride=_ROBOTS_POINT.itemsize)
         self._cloud.pose.orientation.w = 1.0
-        self._cloud.pose.position.SetInParent()  # the origin, said: Rerun takes a pose without a place for damaged
+        self._cloud.pose.position.SetInParent()  # set the origin explicitly: Rerun rejects a pose without a position
         add_fields(self._cloud, _ROBOTS_POINT)
         self._points = np.zeros(cells.shape[1], dtype=_ROBOTS_POINT)
         self._points["robot"], self._points["alpha"] = np.arange(cells.shape[1]), 255
@@ -318,10 +317,10 @@ class RobotDrawer:
         ball.pose.position.z, text.pose.position.z = ROBOTS_HEIGHT * self._size, ROBOTS_HEIGHT * self._size + self._ball
 
     def messages(self, time: int, step: int) -> Iterator[tuple[str, Any]]:
-        """(topic, message) of the whole team; steps come one after the other.
+        """(topic, message) of the whole team; steps must be consecutive.
 
-        Frames map -> robot_k; poses, number k robot k's; one coloured point a robot, red once it is lost; a ball with
-        the robot's number, red and crossed out once it is lost.
+        Frames map -> robot_k; poses by robot; one coloured point for each robot, red if it is lost; a ball with the
+        robot's number, red and crossed out if it is lost.
         """
         alive = self._alive[step]
         where = zip(self.xy[step].tolist(), self._turn[step].tolist(), strict=True)
@@ -363,9 +362,9 @@ class RobotDrawer:
             line.points.add(x=at.x + x, y=at.y + y, z=at.z + 0.6 * self._ball)
 
     def voxel(self, time: int, step: int, robot: int) -> Any:
-        """foxglove.VoxelGrid of one cell: a white block where the robot stands, red once it is lost.
+        """foxglove.VoxelGrid of one cell: a white block at the robot, red if it is lost.
 
-        A grid of its own: Rerun draws one that is opaque all over as solid, above the plates of the areas.
+        A separate grid: Rerun draws a fully opaque grid as solid, above the plates of the areas.
         """
         size, yaw = self._size, self._world.origin[2]
         x, y = self.xy[step, robot].tolist()
@@ -377,7 +376,7 @@ class RobotDrawer:
 
 
 class PathLines:
-    """Every robot's path as a line that grows: foxglove.SceneUpdate."""
+    """Every robot's path as a growing line: foxglove.SceneUpdate."""
 
     def __init__(self, world: World, robots: int, name: str, height: float, alpha: float, pixels: float) -> None:
         """`name`: of the entities; `height` above the ground in cells; `pixels`: thickness on the screen."""
@@ -390,7 +389,7 @@ class PathLines:
             _robots_paint(line.color, topics.robot_rgb(robot), alpha)
 
     def message(self, time: int, paths: Sequence[NDArray[np.int64]]) -> Any:
-        """The lines of paths `[P]` (cells), through their corners; each begins with what it was the last time."""
+        """The lines of paths `[P]` (cells), through their corners; each path extends the one of the last call."""
         for robot, (entity, path) in enumerate(zip(self._scene.entities, paths, strict=True)):
             entity.timestamp.FromNanoseconds(time)
             points, begin = entity.lines[0].points, max(self._length[robot] - 1, 0)
@@ -402,7 +401,7 @@ class PathLines:
 
 
 def corners(path: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The entries of a path `[P]` where it begins, turns or ends; waiting left out."""
+    """Indices of a path `[P]` at which it begins, turns or ends; waiting is skipped."""
     entered = np.concatenate([[0], np.flatnonzero(path[1:] != path[:-1]) + 1])
     moves = np.diff(path[entered])
     turned = np.flatnonzero(moves[1:] != moves[:-1]) + 1
@@ -414,22 +413,22 @@ def _robots_paint(colour: Any, rgb: tuple[int, int, int], alpha: float = 1.0) ->
 
 
 DRIVEN_LOOKS, DRIVEN_PATHS = 40, 4
-"""How often the paths driven so far are written in a rollout, each time in full, so that a viewer can jump: as lines,
-and as nav_msgs/Path."""
+"""Number of times that the paths so far are written in a rollout, each time in full, so that viewers can seek: as
+lines, and as nav_msgs/Path."""
 MOST_PATHS = 64
-"""Robots that have nav_msgs/Path topics of their own."""
+"""Robots with nav_msgs/Path topics."""
 MOST_WORDS = 16
-"""Robots of which `/stats` says in words what they are doing."""
+"""Robots whose activity is text in `/stats`."""
 GRID_BYTES = 2**26
-"""Grids of visits that a rollout may take, in bytes before compression; beyond, they are written at fewer steps."""
+"""Limit of the size of a rollout's grids, before compression; above it, they are written at fewer steps."""
 
 
-Said = Iterator[tuple[str, Any]]
-"""Topics with what is said on them at one time: a protobuf message, or the bytes of another."""
+Messages = Iterator[tuple[str, Any]]
+"""Topics and messages at one time: a protobuf message, or the bytes of another."""
 
 
 def rollout_messages(stage: Stage, trace: Trace, clock: Clock) -> Iterator[Message]:
-    """Everything that is recorded of one rollout, in order of time."""
+    """All messages of one rollout, in order of time."""
     drawer = RolloutDrawer(stage, trace, clock)
     for step in range(trace.time + 1):
         time = clock.at(step)
@@ -438,7 +437,7 @@ def rollout_messages(stage: Stage, trace: Trace, clock: Clock) -> Iterator[Messa
 
 
 class RolloutDrawer:
-    """Makes the messages of one rollout."""
+    """Creates the messages of one rollout."""
 
     def __init__(self, stage: Stage, trace: Trace, clock: Clock) -> None:
         self.stage, self.trace = stage, trace
@@ -448,7 +447,7 @@ class RolloutDrawer:
         self.frames: Frames = make_frames(trace, state)
         self.map = MapDrawer(world, accessible)
         self.robots = RobotDrawer(world, trace.cells, self.frames.alive)
-        self.movers = MoverDrawer(world, ways_of_movers(world, stage.seed, trace.rollout, trace.time + 1))
+        self.moving = MovingThreatDrawer(world, ways_of_movers(world, stage.seed, trace.rollout, trace.time + 1))
         self.driven = PathLines(world, trace.cells.shape[1], "driven", DRIVEN_HEIGHT, 1.0, 2.0)
         self.cuts = self.frames.events_by_step()
         self.areas, self.open_areas = stage.area_maps(trace), 0
@@ -461,8 +460,8 @@ class RolloutDrawer:
         self.every = -(-steps * size // GRID_BYTES)
         self.driven_every, self.paths_every = (-(-steps // looks) for looks in (DRIVEN_LOOKS, DRIVEN_PATHS))
 
-    def said(self, time: int, step: int) -> Said:
-        """Everything of one step; steps come one after the other."""
+    def said(self, time: int, step: int) -> Messages:
+        """All messages of one step; steps must be consecutive."""
         if step == 0:
             yield from self._begin(time)
         if self.next_areas is not None and self.next_areas.step == step:
@@ -481,9 +480,9 @@ class RolloutDrawer:
         if step == self.trace.time:
             yield from self._end(time)
 
-    def _begin(self, time: int) -> Said:
+    def _begin(self, time: int) -> Messages:
         stage, trace = self.stage, self.trace
-        if stage.plan.state is not None:  # in the colour of one more robot: who did it is not known
+        if stage.plan.state is not None:  # in the colour of an additional robot: a state does not store the visitor
             before = stage.plan.state.visited.astype(np.int32)
             self.map.first_visit(before, np.full_like(before, trace.cells.shape[1]))
         height, width = stage.world.shape
@@ -502,22 +501,22 @@ class RolloutDrawer:
             xy, yaw = stage.world.to_xy(path.astype(np.int32)), headings(path.astype(np.int64), stage.world)
             yield f"/robots/{number}/plan", topics.path(time, self.stamps[: len(path)], xy, yaw)
 
-    def _known(self, time: int) -> Said:
-        """The map as robots know it."""
+    def _known(self, time: int) -> Messages:
+        """The team's map."""
         yield "/map/threat", self.map.threat(time)
         yield "/map/threat_occ", self.map.threat_occupancy(time)
         yield "/map/obstacles", self.map.obstacles(time)
 
-    def _discovered(self, discovery: Discovery, time: int, step: int) -> Said:
-        """The map as it is believed, and what nobody has seen yet, where that is not as it was."""
+    def _discovered(self, discovery: Discovery, time: int, step: int) -> Messages:
+        """The team's map and the unseen cells, if they changed."""
         if step == 0 or ((discovery.when > self.shown) & (discovery.when <= step)).any():
             self.map.believe(discovery.believed(step), discovery.seen(step))
             yield from self._known(time)
             yield "/map/fog", self.map.fog(time, discovery.when)
             self.shown = step
 
-    def _data(self, time: int, step: int) -> Said:
-        """The exact topics of one step, and the events in words."""
+    def _data(self, time: int, step: int) -> Messages:
+        """The exact topics of one step, and its events as text."""
         trace, frames = self.trace, self.frames
         state = topics.Step(rollout=trace.rollout, step=step, cells=trace.cells[step].tolist())
         state.doing.extend(trace.doing[step].tolist())
@@ -532,8 +531,8 @@ class RolloutDrawer:
             line = event_line(row, self.stage.world, self.stage.plan)
             yield "/events", _log(time, line.level, f"robot {robot}", line.text)
 
-    def _map(self, time: int, step: int) -> Said:
-        """Grids of what is visited, and by whom."""
+    def _map(self, time: int, step: int) -> Messages:
+        """Grids of visits and areas."""
         trace, frames = self.trace, self.frames
         entered = trace.cells[step][frames.moved[step]]
         new = np.unique(entered[frames.visited_at[entered] == step])
@@ -546,11 +545,11 @@ class RolloutDrawer:
                 yield "/areas_voxels", self.map.areas_voxels(time)
                 self.map.changed = False
 
-    def _drawn(self, time: int, step: int) -> Said:
+    def _drawn(self, time: int, step: int) -> Messages:
         """Robots and figures."""
         trace, frames = self.trace, self.frames
         yield from self.robots.messages(time, step)
-        yield from self.movers.messages(time, step)
+        yield from self.moving.messages(time, step)
         changed = np.ones(len(trace.cells[0]), dtype=np.bool_)
         if step > 0:
             changed = (trace.cells[step] != trace.cells[step - 1]) | (frames.alive[step] != frames.alive[step - 1])
@@ -571,14 +570,14 @@ class RolloutDrawer:
     def _looks(self, step: int, every: int) -> bool:
         return step % every == 0 or step == self.trace.time
 
-    def _paths(self, time: int, step: int) -> Said:
-        """The path that each robot has driven."""
+    def _paths(self, time: int, step: int) -> Messages:
+        """The path of each robot so far."""
         for robot in range(min(self.trace.cells.shape[1], MOST_PATHS)):
             entered = np.flatnonzero(self.frames.moved[: step + 1, robot])
             xy, yaw = self.robots.xy[entered, robot], self.robots.yaw[entered, robot]
             yield f"/robots/{robot}/driven", topics.path(time, self.stamps[entered], xy, yaw)
 
-    def _end(self, time: int) -> Said:
+    def _end(self, time: int) -> Messages:
         trace, frames = self.trace, self.frames
         visited, survived, alive = int(frames.visited[-1]), int(frames.survived[-1]), int(frames.alive_count[-1])
         ended = self.stage.plan.ending(trace.outcome)

@@ -1,4 +1,4 @@
-"""The topics of a recording with their schemas, its clock, and what all rollouts of a file share."""
+"""Topics of a recording with their schemas, its clock, and the data that all rollouts of a file share."""
 
 from __future__ import annotations
 
@@ -34,17 +34,18 @@ from planner.rollouts.single_run import PythonLoop
 from planner.tally import Trace
 from planner.world.world import World
 
-# ROS 2 messages (CDR, little-endian) that viewers draw with no settings: OccupancyGrid, Path, Float64MultiArray.
+# ROS 2 messages (CDR, little-endian) that viewers draw without settings: OccupancyGrid, Path, Float64MultiArray.
 #
-# Written straight from NumPy: fields are aligned to their size, counted from the end of the 4-byte encapsulation.
+# They are written directly from NumPy: fields are aligned to their size, counted from the end of the 4-byte
+# encapsulation.
 
 FRAME = "map"
-"""The frame of everything that is drawn: the map's own, in metres, y up."""
+"""The frame of all drawings: the map's, in metres, y up."""
 _ENCAPSULATION = b"\x00\x01\x00\x00"
 
 
 def _schema(name: str) -> LogSchema:
-    """The schema of a message, whose definition stands beside this file."""
+    """The schema of a message, from its definition in this folder."""
     definition = files("analysis.recording.viewers").joinpath(f"{name.rpartition('/')[2]}.msg")
     return LogSchema(name, "ros2msg", definition.read_bytes(), "cdr")
 
@@ -52,14 +53,14 @@ def _schema(name: str) -> LogSchema:
 OCCUPANCY_GRID, PATH = _schema("nav_msgs/msg/OccupancyGrid"), _schema("nav_msgs/msg/Path")
 ARRAY = _schema("std_msgs/msg/Float64MultiArray")
 _HEADER = struct.Struct("<iII4s")
-"""Header: seconds, nanoseconds, length of "map" with its NUL, and itself: 16 bytes."""
+"""Header: seconds, nanoseconds, length of "map" with its NUL, and the text: 16 bytes."""
 _META = struct.Struct("<iIfII4x7dI")
 _STAMPED = np.dtype([("header", "V16"), ("pose", "<f8", 7)])
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a grid lies: pose of the lower-left corner of its lower-left cell, in the map's frame.
+    """Pose of a grid: the lower-left corner of its lower-left cell, in the map's frame.
 
     Attributes:
         x, y, z: metres. yaw: radians. cell: side of a cell in metres.
@@ -78,7 +79,7 @@ class Place:
 
 
 def occupancy_grid(nanoseconds: int, place: Place, values: NDArray[np.int8]) -> bytes:
-    """nav_msgs/OccupancyGrid of `values` int8 `[H, W]`, the lowest row first: 0..100, -1 unknown."""
+    """nav_msgs/OccupancyGrid of `values` int8 `[H, W]`, lowest row first: 0..100, -1 unknown."""
     height, width = values.shape
     z, w = place.turned
     meta = _META.pack(0, 0, place.cell, width, height, place.x, place.y, place.z, 0.0, 0.0, z, w, values.size)
@@ -95,7 +96,7 @@ def path(nanoseconds: int, stamps: NDArray[np.int64], xy: NDArray[np.float64], y
     poses["pose"][:, :2] = xy
     poses["pose"][:, 5], poses["pose"][:, 6] = np.sin(yaw / 2), np.cos(yaw / 2)
     body = poses.tobytes()
-    # the count leaves the first header at 4 of 8, its doubles need 4 bytes of padding; all later ones lie right
+    # after the count, the first header ends at 4 mod 8: its doubles need 4 bytes of padding; later ones are aligned
     first = body[:16] + b"\x00" * 4 + body[16:] if len(poses) else b""
     return _ENCAPSULATION + _header(nanoseconds) + struct.pack("<I", len(poses)) + first
 
@@ -110,12 +111,12 @@ def _header(nanoseconds: int) -> bytes:
     return _HEADER.pack(seconds, rest, 4, FRAME.encode())
 
 
-# The project's own messages in a recording: those of `mrac.proto`, built at run time without a compiler.
+# The project's own messages, built at run time from `mrac.proto` without a compiler.
 
 _BLOCK = re.compile(r"^(enum|message) (\w+) \{(.*?)^\}", re.DOTALL | re.MULTILINE)
 _VALUE = re.compile(r"^  (\w+) = (\d+);", re.MULTILINE)
 _FIELD = re.compile(r"^  (repeated )?(\w+) (\w+) = (\d+);", re.MULTILINE)
-"""A value of an enumeration, and a field of a message: all that the file is made of."""
+"""A value of an enumeration, and a field of a message: the only lines of the file's blocks."""
 
 
 def _messages() -> dict[str, Any]:
@@ -147,7 +148,7 @@ End, Stats, Outcomes = _MESSAGES["End"], _MESSAGES["Stats"], _MESSAGES["Outcomes
 
 
 GAP_SECONDS = 3.0
-"""Between rollouts that follow each other in one file."""
+"""Gap between consecutive rollouts in one file."""
 OWN = {
     "/rollout/start": Start,
     "/rollout/step": Step,
@@ -156,7 +157,7 @@ OWN = {
     "/outcomes": Outcomes,
     "/stats": Stats,
 }
-"""The project's own messages."""
+"""The project's own messages by topic."""
 DATA_TOPICS = ("/rollout/start", "/rollout/step", "/rollout/event", "/rollout/end")
 
 
@@ -168,7 +169,7 @@ def protobuf(message: Any) -> LogSchema:
 
 @cache
 def topic_types() -> dict[str, LogSchema]:
-    """The schema of every topic; the topics of single robots are under `/robots/*/`."""
+    """The schema of every topic; topics of single robots are under `/robots/*/`."""
     messages = OWN | {
         "/map/threat": Grid,
         "/map/obstacles": Grid,
@@ -197,7 +198,7 @@ def topic_types() -> dict[str, LogSchema]:
 
 
 def type_of(topic: str) -> LogSchema:
-    """The schema of a topic. Raises KeyError for one that no recording has."""
+    """The schema of a topic. Raises KeyError for an unknown topic."""
     parts = topic.split("/")
     if len(parts) == 4 and parts[1] == "robots":
         parts[2] = "*"
@@ -214,26 +215,26 @@ class Message(NamedTuple):
 
 @dataclass(frozen=True)
 class Clock:
-    """Steps as times: step t of a rollout is at `start + t * step_seconds`. start: nanoseconds."""
+    """Times of steps: step t of a rollout is at `start + t * step_seconds`. start: nanoseconds."""
 
     start: int
     step_seconds: float
 
     def at(self, step: int) -> int:
-        """Nanoseconds."""
+        """The time of a step in nanoseconds."""
         return self.start + round(step * self.step_seconds * 1e9)
 
     def after(self, last_step: int) -> Clock:
-        """The clock of the rollout that follows one of this length."""
+        """The clock of the rollout after one of this length."""
         return Clock(self.at(last_step) + round(GAP_SECONDS * 1e9), self.step_seconds)
 
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """What all rollouts of a file share.
+    """Data that all rollouts of a file share.
 
     Attributes:
-        loop: "closed" or "open". seed: of the rollouts. first_only: as of `Request`.
+        loop: "closed" or "open". seed: of the rollouts. first_only: see `Request`.
         areas: those at t = 0.
     """
 
@@ -245,13 +246,13 @@ class Stage:
 
     @cached_property
     def areas(self) -> tuple[Area, ...]:
-        """Areas at t = 0: in the open loop those that the nominal run makes are there from the start."""
+        """Areas at t = 0; in the open loop also those that the nominal run creates later."""
         if self.loop == "closed":
             return ready_loop(self.plan, self.world)[1]
         return self.plan.areas + self.plan.areas_added
 
     def area_maps(self, trace: Trace) -> Iterator[AreaMap]:
-        """Who holds what, at the end of step 0 and of every later step that changes it; nothing without areas."""
+        """The areas at the end of step 0 and of every later step that changes them; empty without areas."""
         if self.rearranges:
             loop = PythonLoop(self.plan, self.world, first_only=self.first_only)
             return learned_maps(loop.runs(self.seed, trace.rollout))
@@ -259,45 +260,45 @@ class Stage:
 
     @property
     def rearranges(self) -> bool:
-        """Whether robots may make other areas of what they come to know of the map."""
+        """Whether robots may create new areas from map updates."""
         return self.loop == "closed" and ready_loop(self.plan, self.world)[0].learns
 
     def discovery(self, trace: Trace) -> Discovery | None:
-        """What robots come to know of the map in a rollout; None where they learn nothing."""
+        """The team's map knowledge in a rollout; None if it learns nothing."""
         return discovery_of(self.world, self.seed, trace) if self.learns else None
 
     @property
     def learns(self) -> bool:
-        """Whether robots are not told the map, and look; on a path that is given, to the end, nobody learns."""
+        """Whether robots update the map by a sensor; on fixed paths they do not."""
         known = self.world.knowledge
         return self.loop == "closed" and known is not None and known.sense.range > 0
 
 
-# Colours of recordings: apart from each other, and bright enough for the dark backgrounds of viewers.
+# Colours of recordings: distinct, and bright enough for the dark backgrounds of viewers.
 
 _HEX = ("4ea1ff", "ff9f1c", "2ecc96", "d678ff", "ffdd3c", "ff6ea0", "78e6f0", "bed25a")
 ROBOTS = np.array([tuple(bytes.fromhex(colour)) for colour in _HEX], dtype=np.uint8)
-"""RGB of robot k is row k modulo their number."""
+"""RGB of robot k is row k modulo the number of rows."""
 LOST = (255, 64, 64)
 MOVER = (226, 38, 77)
-"""A threat that moves."""
+"""A moving threat."""
 ALIVE = (255, 255, 255)
-"""A live robot's block: its own colour would vanish on the plates of its area."""
+"""A live robot's block: its own colour would not stand out on the plates of its area."""
 OBSTACLE = (128, 134, 144, 255)
 FOG = (74, 69, 96, 190)
-"""What nobody has seen yet; what is believed of it shines through."""
+"""Unseen cells; the prior map shines through."""
 THREAT = ((42, 47, 55), (255, 59, 48))
 """From no threat to the largest: the colours of the layout's threat map."""
 OPEN_AREA = (235, 235, 235)
-"""An area that nobody has."""
+"""An unassigned area."""
 
 
 PALE = 0.35
-"""Share of the colour in a pale one on plates, which know no transparency; the rest is white."""
+"""Share of the colour in a pale one on plates, which have no transparency; the rest is white."""
 
 
 def pale(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """uint8 `[..., 3]`: the same colours mixed with white."""
+    """uint8 `[..., 3]`: the colours mixed with white."""
     return np.round(255 - PALE * (255.0 - rgb)).astype(np.uint8)
 
 
@@ -312,20 +313,19 @@ def robots_rgb(robots: NDArray[np.int32]) -> NDArray[np.uint8]:
     return ROBOTS[np.maximum(robots, 0) % len(ROBOTS)]
 
 
-# The layout that shows a recording in Lichtblick and Foxglove, which draw nothing useful without one.
+# Layout for Lichtblick and Foxglove, which need one to draw a recording usefully.
 
 MOST_STATES = 16
-"""Robots with a line of their own in the panel of what each is doing."""
+"""Robots with a line in the panel of activities."""
 _MARGIN = 1.12
 
 
 def layout_json(world: World, robots: int) -> str:
-    """The layout for recordings of `robots` robots in `world`, as JSON. The same input, the same text.
+    """The layout for recordings of `robots` robots in `world`, as JSON. Equal input gives equal text.
 
-    From above: the threat map with the paths driven, of robots that learn it first the true one; beside it the areas
-    with their owners. Below them what each of up to MOST_STATES robots is doing, coverage, how many robots are alive,
-    and the events. All that depends on neither stands in `layout.json` beside this file, with null where something
-    does.
+    Top view: the threat map with the driven paths (for robots that learn the map, the true one), and next to it the
+    areas with their owners. Below: activities of up to MOST_STATES robots, coverage, live robots, and events. The parts
+    that depend on neither argument are in `layout.json` in this folder, with null for the others.
     """
     layout: Json = json.loads(files("analysis.recording.viewers").joinpath("layout.json").read_text(encoding="utf-8"))
     panels, camera = layout["configById"], _camera(world)
@@ -344,28 +344,28 @@ def layout_json(world: World, robots: int) -> str:
 
 
 def _show_truth(layout: Json) -> None:
-    """The map as robots believe it behind what nobody has seen, and beside it what is true, under one camera."""
-    panels, told = layout["configById"], layout["configById"]["3D!threat"]
-    told["lichtblickPanelTitle"] = "As believed; dark: not seen yet"
-    topics = {name: shown for name, shown in told["topics"].items() if name not in ("/map/threat", "/map/obstacles")}
+    """Add a panel with the true map next to the team's map and its unseen cells, with a common camera."""
+    panels, panel = layout["configById"], layout["configById"]["3D!threat"]
+    panel["lichtblickPanelTitle"] = "The team's map; dark: not seen yet"
+    topics = {name: shown for name, shown in panel["topics"].items() if name not in ("/map/threat", "/map/obstacles")}
     as_painted = {"visible": True, "colorMode": "rgba-fields"}
-    panels["3D!truth"] = told | {
-        "lichtblickPanelTitle": "What is true, and the paths driven",
+    panels["3D!truth"] = panel | {
+        "lichtblickPanelTitle": "True map, and paths driven",
         "topics": {"/map/truth": as_painted} | topics,
     }
-    told["topics"]["/map/fog"] = as_painted
+    panel["topics"]["/map/fog"] = as_painted
     maps = layout["layout"]["first"]
     layout["layout"]["first"] = {"direction": "row", "first": "3D!truth", "second": maps, "splitPercentage": 33.3}
 
 
 def write_layout(path: Path, world: World, robots: int) -> None:
-    """Write the layout to `path`, whole or not at all. Raises MapError where the folder does not exist."""
+    """Write the layout to `path`, completely or not at all. Raises MapError if the folder does not exist."""
     with atomic_write(path, "w") as out:
         out.write(layout_json(world, robots))
 
 
 def _camera(world: World) -> Json:
-    """Straight above, and so far that all of the map is seen, whichever way it is turned."""
+    """Top view at a distance from which the whole map is visible, whatever its yaw."""
     height, width = world.shape
     corners = world.to_xy([0, width - 1, (height - 1) * width, height * width - 1])
     across, up = (np.ptp(corners, axis=0) + world.cell_size).tolist()
