@@ -621,7 +621,7 @@ def test_the_command_and_its_errors(capsys: pytest.CaptureFixture[str]) -> None:
     assert [entry["scale"] for entry in found["threat_scale"]] == [0.5, 1, 2]
     assert found["threat_scale"][1]["coverage"] == found["coverage"]
     assert run([*words, "2"]) == 0
-    assert "so many times the map's" in capsys.readouterr().out
+    assert "Results with scaled threats" in capsys.readouterr().out
     for wrong in ("", "x", "1,,2", "-1", "nan", "inf"):
         assert run([*words, wrong]) == 2
         assert capsys.readouterr().err.startswith("error: --threat-scale")

@@ -132,9 +132,9 @@ def test_time_ends_a_run_that_is_not_precise_yet(monkeypatch: pytest.MonkeyPatch
     last = seen[-1].tally.rollouts
     assert told[0] >= seen[0].tally.rollouts and told[-1] == last
     (note,) = too_few(seen[-1], choices)
-    assert re.fullmatch(r"7 s came before .* sure to ± [0-9.]+ points, asked for was ± 0.01; .*", note)
+    assert re.fullmatch(r"7 s came before .* coverage is ± [0-9.]+ points, requested: ± 0.01; .*", note)
     answer = evaluate(world, plan, replace(choices, precision=None, rollouts=10**9, seconds=1e-6))
-    assert answer.tally.rollouts < 10**6 and not answer.partial and "were over after" in answer.notes[0]
+    assert answer.tally.rollouts < 10**6 and not answer.partial and "1e-06 s ended after" in answer.notes[0]
 
 
 def test_deadline_is_exact_where_it_is_known(capsys: pytest.CaptureFixture[str]) -> None:
@@ -155,7 +155,7 @@ def test_the_deadline_is_said_after_the_headline(capsys: pytest.CaptureFixture[s
     said = " ".join(capsys.readouterr().out.split())
     visited, lost = 100 * found["visited"]["mean"], found["losses"]["mean"]
     assert f". By step 40: {visited:.1f} % visited, {lost:.1f}" in said
-    assert " of 4 robots lost on average. " in said and "holds with 95 % confidence" in said
+    assert " of 4 robots lost on average. " in said and "a bound with 95 % confidence" in said
     assert run(["evaluate", WORLD, *words[:-1], "20"]) == 0
     assert "95 % confidence" not in capsys.readouterr().out, "the headline says nothing of 95 % of runs then"
 
@@ -171,7 +171,7 @@ def test_a_limit_that_cuts_rollouts_off_is_said(capsys: pytest.CaptureFixture[st
 def test_table_names_both_meanings(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["evaluate", WORLD, "--robots", "8", "--loop", "open", "--rollouts", "4096", "--theory"]) == 0
     out = capsys.readouterr().out
-    for word in ("visited", "survived", "chance to visit every cell", "ideal of the team", "exact"):
+    for word in ("visited", "survived", "chance to visit every cell", "upper bound for the team", "exact"):
         assert word in out
     verdicts = {line.split("C = ")[1].split("  ")[0]: line.split()[-1] for line in out.splitlines() if "C = " in line}
     known = load_fixture("contiguous-14x23-1000-k8").answers

@@ -473,7 +473,7 @@ def test_who_always_comes_home_is_said_in_good_words(robots: int) -> None:
     world = World.create(np.zeros((1, 9)))
     plan = mrac.plan(world, robots, return_to="home")
     answer = mrac.evaluate(world, plan, rollouts=64, advice=False, exact="never")
-    assert home_words(answer).startswith(f"On average {'both' if robots == 2 else 'all 3'} robots come home, all")
+    assert home_words(answer).startswith(f"On average {'both' if robots == 2 else 'all 3'} robots return to base, all")
 
 
 def test_the_end_that_a_plan_names_is_that_of_its_rollouts() -> None:
