@@ -965,7 +965,7 @@ def test_alternatives_that_are_interrupted_leave_the_answer(
     assert run(["evaluate", world_file, "--rollouts", "2048", "--out", str(tmp_path)]) == 130
     shown, (saved, page) = capsys.readouterr().out, ((tmp_path / name) for name in ("evaluation.json", "index.html"))
     assert shown.count("2 robots visit ") == shown.count("Chances in %") == 1
-    assert "Interrupted: the result contains the rollouts that were done." in shown
+    assert "Interrupted: the rollouts done so far are shown." in shown
     assert json.loads(saved.read_text())["partial"] and page.is_file()
 
 

@@ -491,7 +491,7 @@ def report(evaluation: Evaluation, theory: bool = False, bounds: bool = True) ->
             *([formulas_part(evaluation, theory)] if bounds and (theory or not certain) else []),
         ],
         notes=evaluation.notes,
-        warnings=["Interrupted: the result contains the rollouts that were done."] * evaluation.partial,
+        warnings=["Interrupted: the rollouts done so far are shown."] * evaluation.partial,
         settings=looked_at | _settings(evaluation),
         last=_in_lines(evaluation, looked_at),
         pictures=_pictures(evaluation, rest),
