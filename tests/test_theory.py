@@ -943,9 +943,7 @@ def test_of_a_range_the_bound_knows_what_is_too_far() -> None:
     answer = mrac.evaluate(world, mrac.plan(world, 1, range=2), rollouts=64)
     assert 2.7 < answer.bounds.least.cells <= 3
     said = " ".join(as_text(lambda console: print_report(evaluation_report(answer), console)).split())
-    assert (
-        "% on average with this team on this map (proven; of the range it uses only which cells are too far)" in said
-    )
+    assert "% on average with this team on this map (proven; of the range it uses only which cells are too far)" in said
 
 
 @pytest.mark.parametrize("seed", range(12))
