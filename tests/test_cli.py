@@ -683,7 +683,7 @@ def test_no_table_cuts_a_figure(
 def check_whole(table: FittedTable, width: int) -> None:
     """Every figure stands on one line as it is, unless its column is said to be left out; no line is too long."""
     said = as_text(lambda console: console.print(table), width)
-    body, _, note = said.partition("omitted, because")
+    body, _, note = said.partition("omitted at a width of")
     left_out, words = " ".join(note.split()), set(body.split())
     lines = [" ".join(line.split()) for line in body.splitlines()]
     assert "…" not in said and max(map(len, said.splitlines())) <= width
@@ -874,7 +874,7 @@ def shown(made: FittedTable, width: int) -> str:
 @pytest.mark.parametrize("dropped", [(), ("rollouts", "bound", "from .. to")])
 def test_no_figure_is_cut_or_wrapped_and_what_is_left_out_is_named(width: int, dropped: tuple[str, ...]) -> None:
     said = shown(table(*dropped), width)
-    body, _, note = " ".join(said.split()).partition("omitted, because")
+    body, _, note = " ".join(said.split()).partition("omitted at a width of")
     assert "…" not in said and max(map(len, said.splitlines())) <= width
     for name, cell in list(zip(COLUMNS, ROW, strict=True))[1:]:
         assert (cell in said.split()) != (name in note and cell not in body), (name, said)
@@ -883,9 +883,9 @@ def test_no_figure_is_cut_or_wrapped_and_what_is_left_out_is_named(width: int, d
 
 def test_the_least_important_columns_go_first_and_the_last_of_those_of_a_name() -> None:
     wide = shown(table(), 120).splitlines()
-    assert len(wide) == 6 and "left out" not in "".join(wide)
+    assert len(wide) == 6 and "omitted" not in "".join(wide)
     said = shown(table("rollouts", "from .. to", "bound"), 70)
-    gone = "omitted, because 70 characters have no room: robots lost from .. to, rollouts; a wider window, --out and --json"
+    gone = "omitted at a width of 70 characters: robots lost from .. to, rollouts; a wider window, --out and --json"
     assert f"{gone} have them" in " ".join(said.split())
     assert ROW[3] in said and ROW[5] not in said and ROW[1] in said
 
@@ -893,4 +893,4 @@ def test_the_least_important_columns_go_first_and_the_last_of_those_of_a_name() 
 def test_without_columns_to_leave_out_they_stand_in_blocks_that_begin_with_the_name() -> None:
     said = shown(table(), 60)
     assert said.count("place") == said.count("the old depot") > 1
-    assert said.count("Places") == 1 and "left out" not in said
+    assert said.count("Places") == 1 and "omitted" not in said

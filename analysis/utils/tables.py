@@ -59,8 +59,7 @@ class FittedTable(Table):
         if gone:
             names = ", ".join(map(self._named, sorted(gone)))
             has = "has it" if len(gone) == 1 else "have them"
-            room = f"omitted, because {options.max_width} characters have no room"
-            yield Text(f"{room}: {names}; a wider window, --out and --json {has}")
+            yield Text(f"omitted at a width of {options.max_width} characters: {names}; a wider window, --out and --json {has}")
 
     def _named(self, place: int) -> str:
         """A column's header; if several columns share it, with the header of the column before."""
