@@ -764,7 +764,10 @@ def test_what_robots_are_not_told(folder: Path) -> None:
             {"prior_map": {"p": 0.1}, "latent_hazard": {"kind": "persistent", "q": "threats"}},
             "leave out `latent_hazard`",
         ),
-        ({"true_map": "true.csv", "sensor_range": 1, "map_uncertainty": spread}, "a truth beside a map that is in doubt"),
+        (
+            {"true_map": "true.csv", "sensor_range": 1, "map_uncertainty": spread},
+            "a truth beside a map that is in doubt",
+        ),
         ({"sensor_range": 1, "map_uncertainty": {"spread": spread["spread"] | {"by": "level"}}}, "`by: common`"),
     ):
         with pytest.raises(InputError, match=message):

@@ -59,7 +59,8 @@ class FittedTable(Table):
         if gone:
             names = ", ".join(map(self._named, sorted(gone)))
             has = "has it" if len(gone) == 1 else "have them"
-            yield Text(f"omitted at a width of {options.max_width} characters: {names}; a wider window, --out and --json {has}")
+            width = f"omitted at a width of {options.max_width} characters"
+            yield Text(f"{width}: {names}; a wider window, --out and --json {has}")
 
     def _named(self, place: int) -> str:
         """A column's header; if several columns share it, with the header of the column before."""
