@@ -27,7 +27,7 @@ test: style size
 suite: $(READY)
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
 
-# make test-slow PART=3/8 runs the third of eight parts; what passed is written to docs/evidence.md.
+# make test-slow PART=3/8 runs the third of eight parts; the results go to tests/evidence.json.
 PART ?= 1/1
 test-slow: $(READY)
 	$(BIN)/python tests/evidence.py --part $(PART)

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# What a release must pass: the slow tests on the code as it is (docs/evidence.md); sdist and wheel build and describe themselves; the wheel, alone in a clean environment, gives the demo's answer;
+# What a release must pass: the slow tests on the code as it is (tests/evidence.json); sdist and wheel build and describe themselves; the wheel, alone in a clean environment, gives the demo's answer;
 # the tests of the sdist pass on its own installation.
 # PYTHON: which interpreter. TESTS: which of the sdist's tests; "tests": all quick ones.
 set -euo pipefail

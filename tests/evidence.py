@@ -1,40 +1,38 @@
-"""Runs the slow tests file by file, in parts or as time allows, and keeps in docs/evidence.md what passed when.
+"""Run the slow tests file by file and keep the last result of each in tests/evidence.json.
 
-`evidence.py --part 3/8`: one of eight parts of about as many seconds each. `--minutes 3`: some files, other ones every
-day, none that took longer than is left. `--check`: status 1 where a file has not passed on the code as it is: itself,
-and all of the packages and helpers that it imports, to the last, but for comments and docstrings. Python alone is
-needed for that.
+`evidence.py --part 3/8` runs one of eight parts of about equal time. `--minutes 3` runs the files that fit into three
+minutes, other files every day. `--check` exits with status 1 if a file has not passed on the present code: the file
+itself and all that it imports, without comments and docstrings. `--check` needs Python alone.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
-import re
+import json
 import subprocess
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, date, datetime
 from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-PAGE = "docs/evidence.md"
+TABLE = ROOT / "tests/evidence.json"
 PACKAGES = ("planner", "analysis", "mrac_jax")
 MOST = 1800
-"""Seconds that a file may take."""
+"""Time limit of a file, in seconds."""
 UNKNOWN = 120.0
-"""Seconds that a file is taken for which was never run."""
-ROW = re.compile(r"^\| `(\w+)` \| (.*) \| (\d+) \| (\S+) \| `(\w+\+?)` \|$", re.MULTILINE)
+"""Assumed time of a file that was never run, in seconds."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """How a file of slow tests ended: pytest's words, seconds, day, commit ("+": with changes beside it)."""
+    """Result of a file of slow tests: pytest's summary, seconds, day and commit ("+": with uncommitted changes)."""
 
-    said: str
+    summary: str
     seconds: float
     day: str
     commit: str
@@ -46,19 +44,18 @@ def slow_files(root: Path = ROOT) -> list[str]:
 
 
 def read(text: str) -> dict[str, Evidence]:
-    """What a page holds, by file."""
-    return {name: Evidence(said, float(took), day, commit) for name, said, took, day, commit in ROW.findall(text)}
+    """Results by file, of the text of `TABLE`."""
+    return {name: Evidence(**row) for name, row in json.loads(text).items()}
 
 
-def written(text: str, rows: dict[str, Evidence]) -> str:
-    """The page with these rows in the place of its own."""
-    head = "| file | tests | seconds | day | commit |\n|---|---|---:|---|---|\n"
-    lines = [f"| `{n}` | {r.said} | {r.seconds:.0f} | {r.day} | `{r.commit}` |\n" for n, r in sorted(rows.items())]
-    return text[: text.index("| file |")] + head + "".join(lines)
+def written(rows: dict[str, Evidence]) -> str:
+    """The text of `TABLE`: one line a file, so that changes read well in a diff."""
+    lines = (f"  {json.dumps(name)}: {json.dumps(asdict(row))}" for name, row in sorted(rows.items()))
+    return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def parts(names: Iterable[str], seconds: dict[str, float], count: int) -> list[list[str]]:
-    """So many parts of about as many seconds: the longest first, each to the part that has least."""
+    """Split files into parts of about equal time: the longest file first, each into the shortest part."""
     dealt: list[list[str]] = [[] for _ in range(count)]
     for name in sorted(names, key=lambda name: (-seconds.get(name, UNKNOWN), name)):
         min(dealt, key=lambda part: sum(seconds.get(one, UNKNOWN) for one in part)).append(name)
@@ -66,7 +63,7 @@ def parts(names: Iterable[str], seconds: dict[str, float], count: int) -> list[l
 
 
 def of_the_day(names: list[str], seconds: dict[str, float], most: float, day: date) -> list[str]:
-    """Files whose seconds are known to be no more than so many together: beginning elsewhere each day."""
+    """Files that together take at most `most` seconds, from a first file that changes every day."""
     known = [name for name in names if seconds.get(name, MOST) <= most]
     first, chosen = day.toordinal() * 7 % max(len(known), 1), list[str]()
     for name in known[first:] + known[:first]:
@@ -77,7 +74,7 @@ def of_the_day(names: list[str], seconds: dict[str, float], most: float, day: da
 
 @cache
 def covered(name: str, root: Path = ROOT) -> frozenset[str]:
-    """Paths of a test file, and of all of the packages and of `tests` that it imports, directly or not."""
+    """Paths of a test file and of all files of the packages and of `tests` that it imports, directly or not."""
     found, todo = set[str](), [f"tests.{name}"]
     while todo:
         stem = todo.pop().replace(".", "/")
@@ -90,7 +87,7 @@ def covered(name: str, root: Path = ROOT) -> frozenset[str]:
 
 @cache
 def imported(path: Path, root: Path) -> list[str]:
-    """Modules that a file imports, anywhere in it; those of `tests` by `tests.NAME`."""
+    """Names of the modules that a file imports; helpers are named `tests.NAME`."""
     found = list[str]()
     for node in ast.walk(ast.parse(path.read_text())):
         names = [alias.name for alias in node.names] if isinstance(node, ast.Import | ast.ImportFrom) else []
@@ -107,12 +104,12 @@ def imported(path: Path, root: Path) -> list[str]:
 
 
 def git(*words: str, root: Path = ROOT) -> subprocess.CompletedProcess[str]:
-    """What git says."""
+    """Run git in `root`."""
     return subprocess.run(["git", *words], cwd=root, capture_output=True, text=True, check=False)
 
 
 def code_of(text: str) -> str:
-    """The code of a file of Python, without comments and docstrings."""
+    """The code of a Python file without comments and docstrings."""
     tree = ast.parse(text)
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
@@ -125,7 +122,7 @@ def _is_text(node: ast.stmt) -> bool:
 
 
 def stale(rows: dict[str, Evidence], root: Path = ROOT) -> Iterator[str]:
-    """What is missing: a line for each file of slow tests that has not passed on the code as it is."""
+    """One line for each file of slow tests that has not passed on the present code."""
 
     @cache
     def differs(commit: str, path: str) -> bool:
@@ -136,8 +133,8 @@ def stale(rows: dict[str, Evidence], root: Path = ROOT) -> Iterator[str]:
         row = rows.get(name)
         if row is None:
             yield f"{name}: never run"
-        elif "passed" not in row.said or "failed" in row.said or "error" in row.said:
-            yield f"{name}: {row.said}"
+        elif "passed" not in row.summary or "failed" in row.summary or "error" in row.summary:
+            yield f"{name}: {row.summary}"
         elif row.commit.endswith("+"):
             yield f"{name}: run with changes that were not committed"
         else:
@@ -150,36 +147,35 @@ def stale(rows: dict[str, Evidence], root: Path = ROOT) -> Iterator[str]:
 
 def run(name: str) -> Evidence:
     """Run the slow tests of a file."""
-    changes = git("status", "--porcelain", "--", ".", f":!{PAGE}").stdout
+    changes = git("status", "--porcelain", "--", ".", f":!{TABLE.relative_to(ROOT)}").stdout
     commit = git("rev-parse", "--short", "HEAD").stdout.strip() + "+" * bool(changes)
     began, words = time.monotonic(), [sys.executable, "-m", "pytest", "-m", "slow", f"tests/{name}.py"]
     try:
         ended = subprocess.run(words, cwd=ROOT, stdout=subprocess.PIPE, text=True, timeout=MOST, check=False)
-        said = (ended.stdout.strip().splitlines() or ["nothing"])[-1].strip("= ").split(" in ")[0]
+        summary = (ended.stdout.strip().splitlines() or ["nothing"])[-1].strip("= ").split(" in ")[0]
         if ended.returncode:
             tell(ended.stdout)
     except subprocess.TimeoutExpired:
-        said = f"cut off after {MOST} s"
-    return Evidence(said, time.monotonic() - began, datetime.now(UTC).date().isoformat(), commit)
+        summary = f"cut off after {MOST} s"
+    return Evidence(summary, round(time.monotonic() - began), datetime.now(UTC).date().isoformat(), commit)
 
 
 def tell(text: str) -> None:
-    """Say it at once."""
+    """Print a line without delay."""
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
 
 
 def main() -> int:
-    """The command; status 1 where something did not pass, or is missing."""
+    """Run the command; status 1 if a file did not pass or is missing."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--part", default="1/1", help="I/N")
-    parser.add_argument("--minutes", type=float, help="of tests of the day; the page is left as it is")
+    parser.add_argument("--minutes", type=float, help="files of the day for this time; the table stays as it is")
     parser.add_argument("--check", action="store_true")
-    asked, page = parser.parse_args(), ROOT / PAGE
-    rows = read(page.read_text())
+    asked, rows = parser.parse_args(), read(TABLE.read_text())
     if asked.check:
         missing = list(stale(rows))
-        tell("\n".join(missing) or "all slow tests passed on the code as it is")
+        tell("\n".join(missing) or "all slow tests passed on the present code")
         return bool(missing)
     seconds, (part, count) = {name: row.seconds for name, row in rows.items()}, map(int, asked.part.split("/"))
     if asked.minutes:
@@ -189,10 +185,10 @@ def main() -> int:
     good = True
     for name in names:
         found = run(name)
-        good &= "passed" in found.said and "failed" not in found.said and "error" not in found.said
-        tell(f"{name}: {found.said}, {found.seconds:.0f} s")
+        good &= "passed" in found.summary and "failed" not in found.summary and "error" not in found.summary
+        tell(f"{name}: {found.summary}, {found.seconds:.0f} s")
         if not asked.minutes:
-            page.write_text(written(page.read_text(), read(page.read_text()) | {name: found}))
+            TABLE.write_text(written(read(TABLE.read_text()) | {name: found}))
     return not good
 
 

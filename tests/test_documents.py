@@ -47,7 +47,7 @@ PYTHON = {
 COMMANDS = [
     (name, line)
     for name, text in PAGES.items()
-    for block in re.findall(r"^```(?:sh)?\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    for block in re.findall(r"^```[^\n]*\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
     for line in block.splitlines()
     if line.startswith("mrac-jax")
 ]

@@ -20,7 +20,7 @@ import mrac_jax as mrac
 from analysis import sampling as roll_out
 from analysis.cli.app import run
 from analysis.comparison import compare, make_side
-from analysis.estimators.trial import SLACK, closed_tree
+from analysis.estimators.trial import SLACK, _loop_of, tree_of
 from analysis.evaluation.evaluate import TO_LOOK_AT, evaluate
 from analysis.evaluation.report import chances_words, losses_words, report, to_json
 from analysis.evaluation.tables import distribution, histogram_bins
@@ -42,6 +42,13 @@ from planner.world.changing_maps import with_hazard
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.world import World
+
+
+def tree_for(plan: Any, world: World, seconds: float = 2.0, slack: float = SLACK) -> Any:
+    """The tree of a plan's closed loop, or None."""
+    loop = _loop_of(plan, world, False, None)
+    return None if loop is None else tree_of(loop, seconds, slack)
+
 
 # Where nothing can happen one rollout is every run: the answer is at once, exact, and says why, in every command.
 
@@ -531,9 +538,9 @@ def test_no_tree_is_grown_where_all_is_left_at_the_first_cut() -> None:
 
 def test_no_tree_where_maps_are_in_doubt_or_teams_too_large() -> None:
     world = random_world(20, 20, ThreatPattern(seed=1))
-    assert closed_tree(make_plan(world, place_starts(world, 20)[0]), world) is None
+    assert tree_for(make_plan(world, place_starts(world, 20)[0]), world) is None
     doubt = with_hazard(World.create([[0.0, 0.2, 0.0]]), "persistent", 0.5)
-    assert closed_tree(make_plan(doubt, [[0, 0]]), doubt) is None
+    assert tree_for(make_plan(doubt, [[0, 0]]), doubt) is None
     loop = compile_closed_loop(make_plan(doubt, [[0, 0]]), doubt)
     assert grow_tree(loop, 1.0, 1000) is None
 
@@ -567,8 +574,8 @@ def test_how_long_an_exact_value_is_looked_for() -> None:
     """Work, not a clock: a thousandth of a second is too little for three robots, wherever it is run."""
     world = random_world(20, 20, ThreatPattern("contiguous", seed=1))
     plan = make_plan(world, place_starts(world, 3)[0])
-    assert closed_tree(plan, world, seconds=0.001) is None
-    fine, usual = closed_tree(plan, world, slack=1e-7), closed_tree(plan, world)
+    assert tree_for(plan, world, seconds=0.001) is None
+    fine, usual = tree_for(plan, world, slack=1e-7), tree_for(plan, world)
     assert fine is not None
     assert usual is not None
     assert fine.slack <= 1e-7 * 300 < usual.slack
@@ -585,6 +592,6 @@ def test_large_teams_that_come_home_have_fewer_histories(monkeypatch: pytest.Mon
     monkeypatch.setattr("analysis.estimators.trial.grow_tree", lambda loop, slack, most, cheap: asked.append(most))
     world = mrac.load(np.full((6, 8), 0.05))
     for robots, home in ((8, None), (8, "home"), (32, None), (32, "home")):
-        closed_tree(mrac.plan(world, robots, range=60, return_to=home), world)
+        tree_for(mrac.plan(world, robots, range=60, return_to=home), world)
     assert asked[0] == asked[1]
     assert asked[2] == pytest.approx(asked[0] / 4, abs=1) and asked[3] == pytest.approx(asked[0] / 64, abs=1)

@@ -1,4 +1,4 @@
-"""The repository: imports, what nobody uses, the evidence page, releases, the benchmarks."""
+"""The repository: imports, what nobody uses, the table of slow tests, releases, the benchmarks."""
 
 from __future__ import annotations
 
@@ -294,7 +294,7 @@ def test_no_table_of_a_page_is_cut_by_an_empty_line() -> None:
             assert re.fullmatch(r"[|: -]+", table.splitlines()[1]), f"{path}: {table}"
 
 
-# `tests/evidence.py`: every slow file is in one part, the page says what was run, and what is older than its code.
+# `tests/evidence.py`: every slow file is in one part, the table holds each result, stale results are named.
 
 GOOD = Evidence("3 passed, 9 deselected", 61, "2026-11-24", "abc1234")
 
@@ -322,11 +322,11 @@ def test_the_day_s_files_fit_and_all_come_round() -> None:
     assert met == set(names[:20])  # what takes too long, or was never run, is left out
 
 
-def test_the_page_keeps_what_it_is_told() -> None:
-    page = (evidence.ROOT / evidence.PAGE).read_text()
-    rows = read(page) | {"test_one": GOOD, "test_two": replace(GOOD, said="1 failed, 2 passed", commit="abc1234+")}
-    assert read(written(page, rows)) == rows and written(page, read(page)) == page
-    assert set(read(page)) <= set(slow_files())
+def test_the_table_keeps_results() -> None:
+    text = evidence.TABLE.read_text()
+    rows = read(text)
+    assert written(rows) == text and read(written(rows | {"test_one": GOOD})) == rows | {"test_one": GOOD}
+    assert set(rows) <= set(slow_files())
 
 
 def test_covered_is_what_is_imported_to_the_last() -> None:
@@ -357,7 +357,7 @@ def test_what_is_older_than_its_code_is_named(tmp_path: Path) -> None:
     git("add", "-A")
     git("commit", "-qm", "first")
     rows = {f"test_{name}": replace(GOOD, commit=git("rev-parse", "HEAD").strip()) for name in "abcd"}
-    rows["test_b"] = replace(rows["test_b"], said="1 failed, 3 passed")
+    rows["test_b"] = replace(rows["test_b"], summary="1 failed, 3 passed")
     rows["test_d"] = replace(rows["test_d"], commit=rows["test_d"].commit + "+")
     said = ["test_b: 1 failed, 3 passed", "test_d: run with changes that were not committed", "test_e: never run"]
     assert list(stale(rows, tmp_path)) == said
@@ -369,7 +369,7 @@ def test_what_is_older_than_its_code_is_named(tmp_path: Path) -> None:
 
 def test_a_run_says_how_it_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(evidence, "MOST", 0.0)
-    assert evidence.run("test_house").said == "cut off after 0.0 s"
+    assert evidence.run("test_house").summary == "cut off after 0.0 s"
 
 
 # What a release says of itself: one version, the same dependencies everywhere, links that an index can follow.

@@ -499,7 +499,7 @@ def test_so_it_is_on_many_more_maps(part: int) -> None:
     assert sum(check(number) for number in range(56 + part, 656, 4)) > 80
 
 
-# Range: robots that make so many moves and then stay (SPEC section 13).
+# Range: robots that make so many moves and then stay (SPEC section 12).
 
 LIMITS: tuple[dict[str, Any], ...] = (
     {},

@@ -107,19 +107,6 @@ def closed_truth(
     return known if loop is None or tree is None else _truth_of(tree, loop, plan, world)
 
 
-def closed_tree(
-    plan: Plan,
-    world: World,
-    first_only: bool = False,
-    kept: AllPairs | None = None,
-    seconds: float = 2.0,
-    slack: float = SLACK,
-) -> Tree | None:
-    """The tree of a plan's closed loop with at most `slack` of the cells unknown; None: it is too large."""
-    loop = _loop_of(plan, world, first_only, kept)
-    return None if loop is None else tree_of(loop, seconds, slack)
-
-
 def _loop_of(plan: Plan, world: World, first_only: bool, kept: AllPairs | None) -> ClosedLoop | None:
     """The loop of which a tree is grown; None: it has no tree, or one that is too large."""
     from planner.rollouts.closed_loop import compile_closed_loop
@@ -133,7 +120,9 @@ def _loop_of(plan: Plan, world: World, first_only: bool, kept: AllPairs | None) 
 
 
 def tree_of(loop: ClosedLoop, seconds: float, slack: float = SLACK, fine_seconds: float = 0.0) -> Tree | None:
-    """The tree of a loop. A single history (no danger, or one robot) is always computed.
+    """The tree of a closed loop with at most `slack` of the cells unknown; None: it would take more than `seconds`.
+
+    A tree of a single history (no danger, or one robot) is always grown.
 
     `fine_seconds`: time within which a tree is grown until the unexplored probability is negligible.
     """

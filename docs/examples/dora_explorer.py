@@ -1,4 +1,4 @@
-"""The table of `docs/unknown.md` beside MISTLab's DORA-Explorer: ten robots, ten maps that nobody knows, a minute.
+"""The figures of `docs/unknown.md`, compared with MISTLab's DORA-Explorer: ten robots, ten unknown maps, one minute.
 
 python docs/examples/dora_explorer.py CHECKOUT STARTS ROLLOUTS; CHECKOUT is a clone of its repository; 20 and 100 are
 behind the figures.
