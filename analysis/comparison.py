@@ -126,15 +126,16 @@ class Comparison(Answer):
 
     def difference(self, figure: str) -> Difference:
         """B - A: fractions of the accessible cells, probabilities, robots, steps; a point if both are equal."""
+        # Equal sides: the difference is 0 by construction, not by sampling.
         if not any(self.differing):
             return Difference(Estimate(0.0, 0.0, (0.0, 0.0)), math.inf)
         reach = 1.0
         if figure in ("alive", "home", "time"):
             reach = float(max(side.longest if figure == "time" else len(side.plan.robots) for side in self.sides))
         units = self.a.unit(figure), self.b.unit(figure)
-        return difference(self.pairs[figure], *units, reach, self.certain, self._luck(figure))
+        return difference(self.pairs[figure], *units, reach, self.certain, self._controls(figure))
 
-    def _luck(self, figure: str) -> CommonLuck | None:
+    def _controls(self, figure: str) -> CommonLuck | None:
         if not len(self.by_luck[0]):
             return None
         a, b = (sums.reshape(-1, len(COLUMNS)) for sums in self.by_luck)
@@ -150,11 +151,12 @@ class Comparison(Answer):
 
     def mean(self, side: Side, figure: str) -> float:
         """The mean of one side, with the control variate of the difference."""
-        pairs, luck, first = self.pairs[figure], self._luck(figure), side is self.a
+        pairs, controls, first = self.pairs[figure], self._controls(figure), side is self.a
         mean = (pairs.x if first else pairs.y) / pairs.rollouts
-        if luck is not None and pairs.rollouts >= LEAST and not self.certain:
-            sums, plain = (luck.x, pairs.sample(1.0, 0.0)) if first else (luck.y, pairs.sample(0.0, 1.0))
-            mean = controlled(luck.by_class, sums.astype(np.float64), plain, luck.robots).mean
+        if controls is not None and pairs.rollouts >= LEAST and not self.certain:
+            # Least squares are linear in the figure: with common controls the means differ by exactly the difference.
+            sums, plain = (controls.x, pairs.sample(1.0, 0.0)) if first else (controls.y, pairs.sample(0.0, 1.0))
+            mean = controlled(controls.by_class, sums.astype(np.float64), plain, controls.robots).mean
         return mean * side.unit(figure)
 
     def exact_difference(self, figure: str) -> float | None:
@@ -174,6 +176,7 @@ def differing(a: Side, b: Side) -> tuple[tuple[str, ...], tuple[str, ...]]:
         if mine[name] != theirs[name]:
             words[0].append(mine[name])
             words[1].append(theirs[name])
+    # Equal descriptions may still belong to different maps, paths or mission states.
     if mine == theirs:
         paths = [[robot.path.tolist() for robot in side.plan.robots] for side in (a, b)]
         if a.world.luck_sha256 != b.world.luck_sha256:
@@ -265,6 +268,7 @@ def compare(a: Side, b: Side, progress: ProgressCallback | None = None, kept: Al
     answer = Comparison(a, b, {figure: Paired() for figure in FIGURES + OF_HOME}, 0, 0, 0.0, certain=certain)
     most, total = (choices.rollouts, choices.rollouts) if choices.precision is None else (MOST_ROLLOUTS, 0)
     cells = max(a.cells, b.cells)
+    # The precision is tested at fixed marks only, so that the result does not depend on chunk sizes.
     marks, unit = looks(), worth_a_call(cells) if cells <= MOST_TABLED else 1
     try:
         singles = [make_singles(side.world, side.plan, side.choices, kept=kept) for side in (a, b)]
@@ -291,6 +295,7 @@ def compare(a: Side, b: Side, progress: ProgressCallback | None = None, kept: Al
 def _add(so_far: Comparison, a: RolloutResults, b: RolloutResults, seconds: float) -> Comparison:
     sides = (so_far.a, a), (so_far.b, b)
     pairs = {f: before + Paired.of(*(_figure(*side, f) for side in sides)) for f, before in so_far.pairs.items()}
+    # Cross-multiplied, so that integers compare the fractions of the accessible cells exactly.
     mine, theirs = a.visited.astype(np.int64) * so_far.b.cells, b.visited.astype(np.int64) * so_far.a.cells
     ahead, behind = int((theirs > mine).sum()), int((theirs < mine).sum())
     found = replace(so_far, pairs=pairs, ahead=so_far.ahead + ahead, behind=so_far.behind + behind, seconds=seconds)

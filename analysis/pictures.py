@@ -159,6 +159,7 @@ def map_layout(shape: tuple[int, int], entries: int, metres: bool = False) -> Ma
     left, right, top, bottom = 0.62, 0.25, 0.78, 0.55
     beside = 0.55 if metres else 0.0
     right, bottom = right + beside, bottom + (0.42 if metres else 0.0)
+    # A wide map takes the whole width, with its key below.
     if width > 1.5 * height:
         cell, columns = min((WIDTH - left - right) / width, 1.1), 6
         rows = -(-entries // columns)
@@ -396,6 +397,7 @@ def hatch(axes: Axes, mask: NDArray[np.bool_]) -> None:
     if not mask.any() or cell_points(axes, mask.shape) < SMALLEST:
         return
     steps = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    # One patch of all runs is much faster than a patch for each cell.
     rows, begins = np.nonzero(steps == 1)
     ends = np.nonzero(steps == -1)[1]
     left, right, top, bottom = begins - 0.5, ends - 0.5, rows - 0.5, rows + 0.5
@@ -496,6 +498,7 @@ def group_labels(
         if (gap < (size[:, None] + size[None, :]) / 2).all(axis=-1).sum() == len(groups):
             where = ((float(row), float(col)) for row, col in places)
             return [Label(*label) for label in zip(groups, names, where, strict=True)]
+        # Larger groups, until no two labels overlap.
         reach *= 1.4
 
 
@@ -605,6 +608,7 @@ def _draw_path(axes: Axes, plan: Plan, robot: int, points: float) -> None:
     robots = len(plan.robots)
     shift = lane(robot, robots)
     rows, cols = np.divmod(plan.robots[robot].path, plan.shape[1])
+    # The more robots, the closer their lanes and the thinner their lines.
     width = float(np.clip(0.62 * points / max(robots, 3), 0.45, 1.9))
     x, y = cols + shift, rows + shift
     axes.plot(x, y, color=colour, linestyle=dashes, linewidth=width, alpha=0.95, gid=f"robot {robot}", zorder=2)

@@ -464,6 +464,7 @@ def survey_starts(world: World, robots: int) -> NDArray[np.int64]:
 def look_at(choices: SurveyChoices, rollouts: RolloutChoices, seed: int) -> list[Entry]:
     """Check one world with every team. The closed loop uses one thread, because worlds run in parallel processes."""
     world = survey_world(choices, seed)
+    # Theorem 4 compares every team with the plan of a single robot.
     alone = plan_team(world, survey_starts(world, 1), choices.settings)
     entries, kept = [], AllPairs()
     for robots in choices.teams:
@@ -516,6 +517,7 @@ def run_survey(
         if not entries:
             raise
         interrupted = True
+    # Worlds finish in any order; the result must not depend on it.
     entries.sort(key=lambda entry: (entry.seed, entry.robots))
     return Survey(choices, rollouts, tuple(entries), time.perf_counter() - clock, interrupted)
 

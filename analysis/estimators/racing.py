@@ -47,12 +47,12 @@ USUAL = 4096
 """Default number of rollouts of each finalist."""
 
 
-def check_search(world: World, settings: Settings, choices: RolloutChoices, what: str) -> None:
+def check_search(world: World, settings: Settings, choices: RolloutChoices, name: str) -> None:
     """Raise InputError for input that searches do not support: uncertain maps, open-loop plans, too many rollouts."""
-    world.check_settled(what)
-    settings.check_alike(what)
+    world.check_settled(name)
+    settings.check_alike(name)
     if settings.plan_for != "closed_loop":
-        raise PlanError(f"plan_for is {settings.plan_for} in {what}", expected="closed_loop", fix="leave it out")
+        raise PlanError(f"plan_for is {settings.plan_for} in {name}", expected="closed_loop", fix="leave it out")
     if choices.rollouts > MOST_ROLLOUTS // 2:
         expected = f"at most {MOST_ROLLOUTS // 2}: the best is confirmed on as many others"
         raise UsageError(argument("rollouts", choices.rollouts), expected=expected)
@@ -158,6 +158,7 @@ class Halving:
         return self._trials[contender]
 
     def _extend(self, contender: int, upto: int) -> None:
+        # Rollouts are numbered: a later round continues at the next id.
         start = self.runs[contender].rollouts if contender in self.runs else 0
         more, before = self._trial(contender).sample(start, upto - start), self.runs.get(contender)
         self.runs[contender] = before + more if isinstance(before, Sampled) else more
@@ -203,6 +204,7 @@ class Halving:
         most = best.largest(figure)
         if isinstance(best, Known) or isinstance(other, Known):
             return best.ahead(other, figure, 1.0 / most).ci95
+        # A candidate may be eliminated in any round, so the interval must hold at any stopping time.
         n = min(best.rollouts, other.rollouts)
         apart = (best.column(figure)[:n] - other.column(figure)[:n]) / most
         return bet_interval(np.clip(apart, -1.0, 1.0), share_of_doubt(max(count * (count - 1) // 2, 1), 1))
@@ -255,6 +257,7 @@ def order_areas(
             tried[area] += int(draw.choice((-1, 1))) << int(draw.integers(FURTHEST))
         counted = Trial(world, plan, choices, loop=_counting(loop, problem, _priority(plan, tried)))
         covered = _covered(counted, exact)
+        # Equal coverage is accepted, so that the search can cross plateaus.
         if covered >= most:
             best, most = tried, covered
     return replace(settings, priority=tuple(_priority(plan, best).tolist()))
@@ -353,6 +356,7 @@ def plan_best(
         found, maker = (found, ordered) if after.share > before.share else (raced[race.best], maker)
         in_time = time.perf_counter() < ends
     made = make_plan(world, starts, found)
+    # Rollouts from id USUAL on had no part in the choice, so that the gain is unbiased.
     best, plain = alike([maker(), makers[0]()], USUAL, USUAL)
     gain = best.ahead(plain, best.counted, 1.0 / best.largest(best.counted))
     gained = gain.more(100, " points", ("more", "less"))

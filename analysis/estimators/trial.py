@@ -101,6 +101,7 @@ def closed_truth(
     known = exact_truth(plan, world, exact, choices.first_only)
     if choices.exact == "never" or is_certain(world, plan) or (known is not None and not fine_seconds):
         return known
+    # A tenth of the precision makes the tree's uncertainty negligible.
     slack = min(SLACK, (choices.precision or 1.0) / 10)
     loop = _loop_of(plan, world, choices.first_only, kept)
     tree = None if loop is None else tree_of(loop, choices.exact_seconds, slack, fine_seconds)
@@ -182,18 +183,19 @@ def weigh(engine: Engine, world: World) -> Engine:
 
 
 def mean_value(
-    column: NDArray[np.int64], total: float, cells: int, certain: bool, luck: CommonLuck | None = None
+    column: NDArray[np.int64], total: float, cells: int, certain: bool, controls: CommonLuck | None = None
 ) -> Estimate:
     """The mean of units `[B]`, as a value of the `total` of so many cells; `certain`: all rollouts are equal.
 
-    `luck`: the rollouts by class of S, for the control variate (`analysis.statistics.variance_reduction`).
+    `controls`: the rollouts by class of S, for the control variate (`analysis.statistics.variance_reduction`).
     """
     values, often = np.unique(column, return_counts=True)
     unit, most = total / UNITS, most_units(cells)
-    if luck is None or certain:
+    if controls is None or certain:
         found = mean_of(values, often, unit, most, certain)
     else:
-        found = estimate_of(values, often, luck.by_class, luck.x.astype(np.float64), luck.robots, unit, most)
+        x = controls.x.astype(np.float64)
+        found = estimate_of(values, often, controls.by_class, x, controls.robots, unit, most)
     rounding = 0.0 if certain else cells / 2 * unit  # the units of each cell are rounded
     mean = min(found.mean, total)
     return Estimate(mean, found.se, (max(found.ci95[0] - rounding, 0.0), min(found.ci95[1] + rounding, total)))
@@ -335,7 +337,7 @@ class Sampled:
         if figure != "value":
             return tally_mean(self.tally, figure, unit, most, self.certain)
         column, cells = self.column(figure), len(self.tally.covered_visited)
-        return mean_value(column, unit, cells, self.certain, self._luck(column))
+        return mean_value(column, unit, cells, self.certain, self._controls(column))
 
     def bounds(self, figure: str, doubt: float) -> Between:
         """Bounds of the mean with error probability `doubt`, for any distribution (`mean_interval`)."""
@@ -364,7 +366,7 @@ class Sampled:
         one = unit / UNITS if figure == "value" else unit
         return difference(
             Paired.of(less, more), one, one, self.largest(figure) * one, self.certain and base.certain,
-            self._luck(less, more),
+            self._controls(less, more),
         ).estimate  # fmt: skip
 
     def by_step(self) -> NDArray[np.float64]:
@@ -375,7 +377,7 @@ class Sampled:
         """As in `Known`; of value, in UNITS."""
         return float({"value": UNITS, "lost": self.tally.robots}.get(figure, self.tally.accessible))
 
-    def _luck(self, *columns: NDArray[np.int64]) -> CommonLuck | None:
+    def _controls(self, *columns: NDArray[np.int64]) -> CommonLuck | None:
         """Sums of one or two columns by class of S; None for few rollouts and for the open loop."""
         n = len(columns[0])
         if self.seed is None or n < LEAST:
@@ -475,7 +477,7 @@ class Trial:
         """Rollouts `start .. start + count - 1` with single results; the last sample is cached."""
         asked, found = self._last
         if found is None or asked != (start, count):
-            engine, seed = self.engine, self._luck_seed
+            engine, seed = self.engine, self._threshold_seed
             ran = engine.run(start, count) if seed is None else run_by_luck(engine, seed, start, count)
             found = self._sampled(*ran)
             self._last = (start, count), found
@@ -486,16 +488,16 @@ class Trial:
         parts: list[RolloutResults] = []
         valued = self._valued
         for chunk in run_chunks(
-            self.engine, count, start=start, checkpoints=marks, results=valued, by_luck=self._luck_seed
+            self.engine, count, start=start, checkpoints=marks, results=valued, by_luck=self._threshold_seed
         ):
             parts += [chunk.results] if valued and chunk.results is not None else []
             yield self._sampled(chunk.tally, RolloutResults.join(parts) if parts else None, chunk.seconds)
 
     def _sampled(self, tally: Tally, results: RolloutResults | None, seconds: float = 0.0) -> Sampled:
-        return Sampled(tally, results, self._luck_seed, self._valued, self.certain, seconds)
+        return Sampled(tally, results, self._threshold_seed, self._valued, self.certain, seconds)
 
     @property
-    def _luck_seed(self) -> int | None:
+    def _threshold_seed(self) -> int | None:
         return None if self.loop is None else self.choices.seed
 
     @property

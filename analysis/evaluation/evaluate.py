@@ -118,6 +118,7 @@ class Evaluation(Answer):
     def with_outputs(self, more: Mapping[str, Output], partial: bool) -> Evaluation:
         """The same evaluation with further outputs; cached values are kept."""
         whole = replace(self, outputs={**self.outputs, **more}, partial=partial)
+        # Cached properties depend on the rollouts only, except `blocks`, which depends on the outputs.
         kept = {name: value for name, value in vars(self).items() if name not in vars(whole) and name != "blocks"}
         vars(whole).update(kept)
         return whole
@@ -322,6 +323,7 @@ class Evaluation(Answer):
         """
         whole(1, MOST_ROLLOUTS, "how many rollouts").check("most", most, optional=True)
         count = self.tally.rollouts if most is None else min(most, self.tally.rollouts)
+        # Whole runs, also if coverage by a deadline was requested.
         found = make_singles(self.world, self.plan, replace(self.choices, deadline=None))(0, count)
         names = np.array([self.plan.ending(outcome).word for outcome in Outcome])
         columns = {name: getattr(found, name) for name in ("visited", "survived", "time", "alive")}
@@ -415,6 +417,7 @@ def evaluate(
         if choices.loop == "closed":
             closed = closed_truth(plan, world, exact, choices, kept, FINE_SECONDS)
         is_all = isinstance(closed, TreeTruth) and closed.is_all and wanted.keys() <= CONTENT
+        # The tree is complete and exact: rollouts only serve outputs that need single runs.
         if is_all and choices.precision is not None:
             rolled = replace(choices, rollouts=TO_LOOK_AT, precision=None)
         begin("rollouts")
@@ -422,9 +425,11 @@ def evaluate(
             last = stage
     except KeyboardInterrupt:
         partial = True
+    # Interrupted before the first stage: there is no partial result.
     if last is None:
         raise KeyboardInterrupt
     run = Run(world, plan, choices, last, roll_out, exact, closed, certain, kept, tell, begin)
+    # Late outputs are measured after the result was shown for the first time.
     soon, late = ({key: v for key, v in wanted.items() if OUTPUTS[key].late == is_late} for is_late in (False, True))
     outputs, partial = _measured(soon, run, partial)
     answer = Evaluation(
@@ -540,6 +545,7 @@ def until_enough(stages: Iterator[Stage], choices: RolloutChoices, progress: Pro
         half = math.inf if choices.precision is None else half_width(stage.tally)
         progress(done, expected_rollouts(choices, done, half, stage.seconds), stage.seconds)
         yield stage
+        # The precision is tested at fixed marks only, so that the end does not depend on chunk sizes.
         enough = choices.precision is not None and done in marks and half < choices.precision
         if enough or (choices.seconds is not None and stage.seconds >= choices.seconds):
             return
@@ -549,6 +555,7 @@ def expected_rollouts(choices: RolloutChoices, done: int, half: float, seconds: 
     """The expected total number of rollouts: the requested number, or an estimate from the current `half`-width."""
     total = choices.rollouts
     if choices.precision is not None:
+        # The half-width falls with the square root of the number of rollouts.
         needed = done * (half / choices.precision) ** 2
         total = next((look for look in looks() if look >= max(needed, done)), looks()[-1])
     if choices.seconds is not None and seconds > 0:

@@ -203,6 +203,7 @@ class Covered:
 
     def chance_of_share(self, fraction: float) -> Chance:
         """The probability to cover at least this fraction of the accessible cells."""
+        # 1e-9: rounding must not raise a whole number of cells to the next one.
         return self.chance(math.ceil(fraction * self.cells - 1e-9))
 
     @cached_property
@@ -433,6 +434,7 @@ def _upwards(bound: Amount | None) -> str:
     """An upper bound in two decimals, rounded up except for rounding errors of floats."""
     if bound is None:
         return "not computed (bound=True computes it where it applies)"
+    # 1e-9: rounding errors must not raise the bound by a hundredth.
     share, cells = (math.ceil(100 * value - 1e-9) / 100 for value in (100 * bound.mean, bound.cells))
     return f"{share:.2f} % ({cells:,.2f} cells)"
 
@@ -488,6 +490,7 @@ def rest_of(world: World, plan: Plan) -> Rest | None:
         kinds[accessible & ~within(world, plan)] = BEYOND
     if plan.state is not None:
         kinds.reshape(-1)[plan.state.visited] = BEFORE
+    # Waits are not moves, and do not use up the range.
     made = [int((np.diff(robot.path) != 0).sum()) for robot in plan.robots]
     ended = 0 if moves is None else sum(own >= most for own, most in zip(made, moves, strict=True))
     step = None if plan.state is None else plan.state.step

@@ -121,6 +121,7 @@ def _time(evaluation: Evaluation) -> str:
     changes = world.is_learned or (world.phases is not None and world.phases.told)
     if not waiting or evaluation.plan.comes_home or changes:
         return f"a run takes {world.pace.steps(steps)}"
+    # Robots wait STUCK_AFTER of their moves before such an end; the wait is subtracted.
     paces = () if evaluation.plan.settings is None else evaluation.plan.settings.paces
     return f"the last move is at {world.pace.step(steps - STUCK_AFTER * max(paces, default=1) * sum(waiting))}"
 
@@ -172,14 +173,15 @@ def headline(evaluation: Evaluation) -> str:
     if evaluation.certain:
         return certain_headline(evaluation)
     shown = without_level(evaluation.visited.said(100.0, " %")) + " of the accessible cells on average"
-    who, lost = counted(robots, "robot visits", "robots visit"), _lost_clause(evaluation)
+    subject, lost = counted(robots, "robot visits", "robots visit"), _lost_clause(evaluation)
     if is_best(evaluation.plan) and (settings := evaluation.plan.settings) is not None:
         most = _most(evaluation)
         limit = f"; no strategy exceeds {most} on average ({proven(evaluation)})" * bool(most)
-        return f"{who} {shown} with {policy_words(settings)}, {lost}{limit}."
+        return f"{subject} {shown} with {policy_words(settings)}, {lost}{limit}."
+    # If the mean is exactly 100 %, the quantile adds nothing.
     adds = least is not None and not shown.startswith("100 % (exact)")
     runs = f" (at least {assured_words(evaluation)} in 19 of 20 runs)" * adds
-    return f"{who} {shown}{runs} {lost}."
+    return f"{subject} {shown}{runs} {lost}."
 
 
 def assured_words(evaluation: Evaluation) -> str:
@@ -231,9 +233,9 @@ def certain_headline(evaluation: Evaluation) -> str:
     """The summary if all runs are equal."""
     tally, robots = evaluation.tally, len(evaluation.plan.robots)
     covered, steps = evaluation.closed_form.visited / tally.accessible, int(np.flatnonzero(tally.time)[0])
-    who, long = counted(robots, "robot visits", "robots visit"), evaluation.world.pace.steps(steps)
+    subject, long = counted(robots, "robot visits", "robots visit"), evaluation.world.pace.steps(steps)
     return (
-        f"{who} {percent(covered, 2)} of the accessible cells in {long} and none is lost: no cell on the "
+        f"{subject} {percent(covered, 2)} of the accessible cells in {long} and none is lost: no cell on the "
         "way is dangerous, so every run is the same and 1 rollout is enough."
     )
 
@@ -284,6 +286,7 @@ def cell_words(evaluation: Evaluation) -> Iterator[str]:
         elif lost[order[1]] >= lost[order[0]] * (1 - ALIKE):
             said = f"No cell costs more robots than {where}"
         said += f": {lost[order[0]]:.3g} a run"
+        # 1e-12: by rounding, a cumulative sum may fall short of exactly one half.
         few = int(np.searchsorted(np.cumsum(lost[order]), 0.5 * total - 1e-12)) + 1
         take = "takes" if few == 1 else "take"
         rest = f". {counted(few, 'cell')} of the {dangerous:,} where robots are lost {take} half of all losses."
@@ -316,8 +319,8 @@ def rest_words(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
         )
     if rest.limited:
         beyond = int((kinds == BEYOND).sum())
-        whom = "some robot to visit and return" if rest.returns else "the moves of some robot"
-        far = f"Every accessible cell is near enough for {whom}."
+        reason = "some robot to visit and return" if rest.returns else "the moves of some robot"
+        far = f"Every accessible cell is near enough for {reason}."
         if beyond:
             many = counted(beyond, "accessible cell")
             are = "is" if beyond == 1 else "are"
@@ -513,7 +516,7 @@ def _looked_at(evaluation: Evaluation) -> dict[str, str]:
     return {
         "map": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "
         f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
-        **({} if world.doubt is None else {_of_doubt(world): world.doubt.said}),
+        **({} if world.doubt is None else {_uncertainty_name(world): world.doubt.said}),
         **({} if world.knowledge is None else {"robots' map": world.knowledge.said}),
         **({"meaning of p": evaluation.p_means} if evaluation.p_means else {}),
         "plan": f"{plan.origin if plan.is_foreign else plan_words(plan)}, {span_words(plan, world.pace)}"
@@ -523,7 +526,7 @@ def _looked_at(evaluation: Evaluation) -> dict[str, str]:
     }
 
 
-def _of_doubt(world: World) -> str:
+def _uncertainty_name(world: World) -> str:
     """The name of `World.doubt` in the report."""
     return "moving threats" if world.movers else "phases" if world.phases else "map uncertainty"
 

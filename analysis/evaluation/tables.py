@@ -53,7 +53,7 @@ def _add(table: Table, evaluation: Evaluation, name: str, exact: str, shown: Seq
     table.add_row(name, *((exact, *shown) if evaluation.loop == "open" else (*shown, exact)))
 
 
-def _beside(evaluation: Evaluation) -> Figures:
+def _shown_figures(evaluation: Evaluation) -> Figures:
     """In the open loop the sampled figures, because the exact values have a separate column."""
     return evaluation.figures if evaluation.loop == "open" else evaluation.shown
 
@@ -62,7 +62,7 @@ def _coverage_table(evaluation: Evaluation, more: Sequence[Row]) -> Table:
     """Coverage in percent, both meanings; and the outputs' rows."""
     columns = ("mean", "95 % interval", "5 %", "median", "95 %")
     table = _table(evaluation, "Coverage, % of the accessible cells", columns)
-    cells, found = evaluation.cells, _beside(evaluation)
+    cells, found = evaluation.cells, _shown_figures(evaluation)
     of = {"": cells["accessible"]} | (
         {} if cells["free"] == cells["accessible"] else {", of all free cells": cells["free"]}
     )
@@ -78,7 +78,7 @@ def _coverage_table(evaluation: Evaluation, more: Sequence[Row]) -> Table:
 
 def _chances_table(evaluation: Evaluation) -> Table:
     """The probabilities of coverage and of outcomes, losses, and time."""
-    found, exact = _beside(evaluation), evaluation.closed_form
+    found, exact = _shown_figures(evaluation), evaluation.closed_form
     named = ("sampled" if found.visited.known is None else "chance", "95 % interval")
     table = _table(evaluation, "Chances in %, losses and time", named)
     chances = {f"chance to visit {100 * x:g} % or more": found.visited.at_least[x] for x in AT_LEAST[:-1]}
@@ -244,6 +244,7 @@ def over_time(evaluation: Evaluation) -> Chart:
     makespan, exact = evaluation.plan.makespan, evaluation.closed_form
     marks = [mark for found in evaluation.blocks for mark in found.marks]
     last = evaluation.last_shown
+    # A mark far beyond the end would compress the curves, and is omitted.
     last = max([last, *(int(step) for step, _ in marks if step <= 2 * last)])
     more = [_until(last, one) for found in evaluation.blocks for one in found.curves]
     steps = np.asarray(more[0].x) if more else np.unique(np.linspace(0, last, STEPS).round().astype(np.int64))
@@ -346,6 +347,7 @@ def histogram_bins(counts: NDArray[np.int64]) -> NDArray[np.float64]:
     held, cells = np.flatnonzero(counts), len(counts) - 1
     low, high = int(held[0]), int(held[-1])
     bins = int(np.clip(2.5 * int(counts.sum()) ** (1 / 3), 8, MOST_BINS))
+    # Bins of whole cells: each holds the same number of possible values.
     width = -(-(high - low + 1) // bins) if high > low else max(1, cells // 40)
     top = (high if high > low else min(high + width // 2, cells)) + 0.5
     number = -(-(high - low + 1) // width)

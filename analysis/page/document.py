@@ -184,6 +184,7 @@ def page_head(title: str, styles: str, rules: str) -> Html:
 
 def policy(script: str, connect: str = "'none'") -> str:
     """The content security policy: this one script, embedded pictures, and no request except to `connect`."""
+    # The hash allows exactly this script, and no other.
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return (
         f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:; "
@@ -193,6 +194,7 @@ def policy(script: str, connect: str = "'none'") -> str:
 
 def whole_script(parts: Iterable[str] | None = None) -> Html:
     """The single script of a page, joined from these texts (default: a report's) in one closure."""
+    # One closure: the script defines no global names.
     texts = map(asset, SCRIPTS) if parts is None else parts
     return Html("\n".join(('"use strict";\n(() => {', *texts, "})();\n")))
 
@@ -330,6 +332,7 @@ def points_of(series: Series, place: int) -> Points:
     x, y = (np.asarray(values, dtype=np.float64).ravel() for values in (series.x, series.y))
     known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     bars = float(np.diff(x[known]).min()) if series.kind == "bars" and len(known) > 1 else 1.0
+    # Bars are bins, and are not thinned.
     if len(known) > MOST_POINTS and series.kind != "bars":
         known = known[np.unique(np.linspace(0, len(known) - 1, MOST_POINTS).round().astype(np.int64))]
     low, high = _ends(series.low, series.high, known, y)

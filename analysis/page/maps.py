@@ -103,6 +103,7 @@ def cell_maps_html(
     """
     height, width = world.shape
     free, accessible, side = world.free, world.accessible(starts), 1
+    # The smallest blocks of which there are at most MOST_CELLS.
     while -(-height // side) * -(-width // side) > MOST_CELLS:
         side += 1
     blocked = [_Blocks(layer, free, accessible, side) for layer in layers]
@@ -198,6 +199,7 @@ class _Blocks:
         largest = 1.0 if self.layer.unit == "%" else float(self.values.max(initial=0.0)) or 1.0
         part = self.values / largest
         codes = np.clip((part * STEPS).round(), 0, STEPS).astype(np.int64)
+        # A value near 0 or 1 must not be shown as 0 or 1.
         codes[(part > 0) & (codes == 0)] = 1
         codes[(part < 1) & (codes == STEPS)] = STEPS - 1
         codes[~self.accessible] = OUT_OF_REACH

@@ -78,6 +78,7 @@ def as_json(value: Any) -> Any:
         return [as_json(one) for one in value]
     if isinstance(value, np.ndarray | np.generic):
         return as_json(value.tolist())
+    # JSON has neither NaN nor infinity.
     return None if isinstance(value, float) and not isfinite(value) else value
 
 
@@ -145,6 +146,7 @@ def save_report(
     from analysis.pictures import png_of
     from analysis.report.rendering import figure_of, page_of
 
+    # All contents are made before the first write, so that an error leaves the folder unchanged.
     pictures = {name: png_of(figure_of, report, name) for name in report.pictures}
     files: dict[str, str | bytes] = {
         f"{report.name}.txt": as_text(lambda console: print_report(report, console), WIDE),
@@ -296,8 +298,8 @@ def share_figure(estimate: Estimate, name: str, note: str = "") -> KeyFigure:
 
 def run_again(words: Sequence[str], how: Sequence[str], choices: RolloutChoices, *, exact: bool) -> str:
     """The command that evaluates the result of a search; with a seed that the search did not use, if not `exact`."""
-    luck = [] if exact else ["--rollouts", str(choices.rollouts), "--seed", str(choices.next_seed)]
-    return shlex.join(["mrac-jax", "evaluate", *words, *how, *luck])
+    fresh = [] if exact else ["--rollouts", str(choices.rollouts), "--seed", str(choices.next_seed)]
+    return shlex.join(["mrac-jax", "evaluate", *words, *how, *fresh])
 
 
 def search_end(answer: Any) -> Json:

@@ -72,6 +72,7 @@ def page_of(report: Report, command: str, pictures: Mapping[str, bytes], files: 
     shown = None if report.picture is None else report.picture()
     height, width = shown.world.shape if isinstance(shown, CellMaps) else (1, 1)
     said, notes = report.findings, [f"Note: {note}" for note in report.notes]
+    # With a picture the sentences are next to it; without one they are a section.
     findings = [] if shown is not None else [*said, *report.notes]
     words, notes = (said, notes) if shown is not None else ([], [])
     sections = (

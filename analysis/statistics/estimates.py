@@ -373,6 +373,7 @@ def mean_of(
     n = int(often.sum())
     if n == 0:
         raise ValueError("no rollouts to estimate from")
+    # Python integers, because the sum may exceed int64.
     total = sum(map(operator.mul, often.tolist(), values.tolist()))
     mean = total / n
     if certain:
@@ -411,6 +412,7 @@ def assured(counts: NDArray[np.int64], share: float = 0.95) -> int | None:
     of the runs were below it, so few rollouts would be below it with probability 5 % at most, for any distribution.
     """
     n = int(counts.sum())
+    # The inverse is continuous; the loop corrects it to the largest valid integer.
     place = math.ceil(bdtrik(0.05, n, 1.0 - share)) if (share**n <= 0.05) else 0
     while place > 0 and bdtr(place - 1, n, 1.0 - share) > 0.05:
         place -= 1
@@ -437,6 +439,7 @@ def proportion(successes: int, n: int, certain: bool = False) -> Estimate:
         return Estimate(p, se, chance_interval(successes, n, 0.05))
     centre, half = (p + z2 / (2 * n)) / (1 + z2 / n), Z95 / (1 + z2 / n) * math.sqrt(p * (1 - p) / n + z2 / (4 * n * n))
     low, high = max(0.0, centre - half), min(1.0, centre + half)
+    # Rounding must not exclude p.
     return Estimate(p, se, (min(low, p), max(high, p)))
 
 

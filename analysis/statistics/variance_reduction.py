@@ -73,11 +73,11 @@ def controlled(by_class: NDArray[np.int64], sums: NDArray[np.float64], plain: Sa
     """
     held = np.flatnonzero(by_class)
     often, sums, n = by_class[held].astype(np.float64), sums[held], plain.n
-    luck = pieces(held, robots) - expected_pieces(robots)
-    off, mean = np.einsum("c,cp->p", often, luck) / n, float(sums.sum()) / n
-    luck = luck - off
-    inverse, rank = inverse_of(np.einsum("c,cp,cq->pq", often, luck, luck))
-    along = np.einsum("c,cp->p", sums - mean * often, luck)
+    controls = pieces(held, robots) - expected_pieces(robots)
+    off, mean = np.einsum("c,cp->p", often, controls) / n, float(sums.sum()) / n
+    controls = controls - off
+    inverse, rank = inverse_of(np.einsum("c,cp,cq->pq", often, controls, controls))
+    along = np.einsum("c,cp->p", sums - mean * often, controls)
     slope = inverse @ along
     left = max(plain.scatter - float((slope * along).sum()), 0.0)
     left *= 1.0 + n * float(off @ inverse @ off)  # variance of the estimated slopes
@@ -89,8 +89,8 @@ def controlled(by_class: NDArray[np.int64], sums: NDArray[np.float64], plain: Sa
 
 def pieces(classes: NDArray[np.int64], robots: int) -> NDArray[np.int64]:
     """`[C, PIECES]`, in half classes: distance of the class's midpoint from E[S], and from each knot that it passes."""
-    luck = 2 * classes + 1 - HALVES * robots
-    return np.column_stack([luck, np.maximum(luck[:, None] - np.array(_bends(robots)), 0)])
+    controls = 2 * classes + 1 - HALVES * robots
+    return np.column_stack([controls, np.maximum(controls[:, None] - np.array(_bends(robots)), 0)])
 
 
 @cache
@@ -200,18 +200,18 @@ def luck_sums(tally: Tally) -> list[int]:
     held = np.flatnonzero(by_luck[:, 0])
     if not len(held):
         return []
-    often, luck = by_luck[held, 0], pieces(held, tally.robots)
-    products, along = (often[:, None] * luck).T @ luck, by_luck[held, 1:].T @ luck
-    return np.concatenate([[often.sum()], often @ luck, products[TRIANGLE], along.ravel()]).tolist()
+    often, controls = by_luck[held, 0], pieces(held, tally.robots)
+    products, along = (often[:, None] * controls).T @ controls, by_luck[held, 1:].T @ controls
+    return np.concatenate([[often.sum()], often @ controls, products[TRIANGLE], along.ravel()]).tolist()
 
 
 def beside_luck(
-    rollouts: int, figures: Sequence[tuple[int, int]], luck: Sequence[int], robots: int
+    rollouts: int, figures: Sequence[tuple[int, int]], controls: Sequence[int], robots: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A map's means `[F, L]` of FIGURES and the covariances `[F, L, L]` of their errors.
 
-    `figures`: (sum, sum of squares) over the map's rollouts, integers. `luck`: from `luck_sums`. The controls are 0 for
-    a single rollout, and where `luck` covers other rollouts.
+    `figures`: (sum, sum of squares) over the map's rollouts, integers. `controls`: from `luck_sums`. They are 0 for a
+    single rollout, and if `controls` covers other rollouts.
     """
     means, errors = np.zeros((len(figures), BESIDE)), np.zeros((len(figures), BESIDE, BESIDE))
     means[:, 0] = [total / rollouts for total, _ in figures]
@@ -219,9 +219,9 @@ def beside_luck(
         return means, errors
     pairs = (rollouts - 1) * rollouts
     errors[:, 0, 0] = [(square * rollouts - total * total) / rollouts / pairs for total, square in figures]
-    if not luck or luck[0] != rollouts:
+    if not controls or controls[0] != rollouts:
         return means, errors
-    sums, products, along = np.split(np.array(luck[1:], dtype=np.float64), [PIECES, PIECES + len(TRIANGLE[0])])
+    sums, products, along = np.split(np.array(controls[1:], dtype=np.float64), [PIECES, PIECES + len(TRIANGLE[0])])
     spread, met = np.zeros((PIECES, PIECES)), sums / rollouts
     spread[TRIANGLE] = spread.T[TRIANGLE] = products
     means[:, 1:] = met - expected_pieces(robots)
@@ -359,12 +359,12 @@ class CommonLuck(NamedTuple):
 
 
 def difference(
-    pairs: Paired, unit_x: float, unit_y: float, reach: float, certain: bool = False, luck: CommonLuck | None = None
+    pairs: Paired, unit_x: float, unit_y: float, reach: float, certain: bool = False, controls: CommonLuck | None = None
 ) -> Difference:
     """E[y] - E[x], each in its unit, with the interval of `analysis.statistics.estimates.mean_estimate`.
 
     `reach`: the largest absolute difference. `certain`: all runs of each side are equal, so that the interval is a
-    point. `luck`: the rollouts by class of S, for the control variate.
+    point. `controls`: the rollouts by class of S, for the control variate.
     """
     n = pairs.rollouts
     mean = pairs.y / n * unit_y - pairs.x / n * unit_x
@@ -374,9 +374,9 @@ def difference(
         return Difference(Estimate(mean, math.nan, (-reach, reach)), 1.0)
     xx, _, yy = pairs.moments()
     found = pairs.sample(-unit_x, unit_y, step=unit_x if unit_x == unit_y else 0.0)
-    if luck is not None and n >= LEAST:
-        put_right = controlled(luck.by_class, unit_y * luck.y - unit_x * luck.x, found, luck.robots)
-        mean, found = min(max(put_right.mean, -reach), reach), put_right.sample
+    if controls is not None and n >= LEAST:
+        adjusted = controlled(controls.by_class, unit_y * controls.y - unit_x * controls.x, found, controls.robots)
+        mean, found = min(max(adjusted.mean, -reach), reach), adjusted.sample
     apart = (xx * unit_x**2 + yy * unit_y**2) / n
     gain = 1.0 if apart == 0 else math.inf if found.scatter == 0 else apart / found.se**2
     return Difference(Estimate(mean, found.se, found.interval(mean, -reach, reach)), gain)
@@ -432,8 +432,8 @@ def of_means(means: Array, within: Array, each: int, reach: float) -> Components
     left_inside = (within.sum() - within) / (groups - 1)
     left_between = (far.sum() - groups / (groups - 1) * far) / (groups - 2) - left_inside / each
     variance = float(far.sum()) / (groups - 1) - inside / each
-    between, luck = _root(variance, left_between, groups, reach), _root(inside, left_inside, groups, reach)
-    return Components(between, luck, _drawn_together(means, between.mean))
+    between, within_sd = _root(variance, left_between, groups, reach), _root(inside, left_inside, groups, reach)
+    return Components(between, within_sd, _drawn_together(means, between.mean))
 
 
 def known_between(means: Array, all_of_them: bool, counts: NDArray[np.int64]) -> Components:

@@ -66,8 +66,8 @@ def contract(world: World, starts: NDArray[np.int64], value: NDArray[np.float64]
     threat[node[dangerous.ravel()]] = world.threat.ravel()[dangerous.ravel()]
     np.maximum.at(reach, node[flat], reach_chances(world, starts)[flat])
     slack = len(starts) * (world.threat.size + 64) * ULP  # rounding of sums of hazards, and of one product a robot
-    worth = np.ones(world.threat.size) if value is None else value.ravel()
-    weight = np.bincount(node[flat], worth[flat], count).astype(np.float64)
+    node_value = np.ones(world.threat.size) if value is None else value.ravel()
+    weight = np.bincount(node[flat], node_value[flat], count).astype(np.float64)
     if value is not None:
         weight *= 1.0 + world.threat.size * ULP  # rounding of sums
     begin = node[starts[:, 0] * world.shape[1] + starts[:, 1]]
@@ -417,10 +417,10 @@ def _backwards(
             if walks.bit[node] < 0 or not (had >> walks.bit[node]) & 1:
                 left += walks.weight[node]
         value[last, had, :] = left * (1.0 + nodes * ULP)
-    worth = np.empty(nodes)
+    node_value = np.empty(nodes)
     for hour in range(last - 1, -1, -1):
         for node in range(nodes):
-            worth[node] = max(0.0, count[node] - again[node] * walks.grow[hour])
+            node_value[node] = max(0.0, count[node] - again[node] * walks.grow[hour])
         for had in range(value.shape[1] - 1, -1, -1):
             for safe in (True, False):
                 for node in range(nodes):
@@ -429,7 +429,7 @@ def _backwards(
                     best, move = 0.0, -1
                     for at in range(walks.first[node], walks.first[node + 1]):
                         target = walks.target[at]
-                        gain, then = worth[target], had
+                        gain, then = node_value[target], had
                         if walks.bit[target] >= 0:
                             then = had | (1 << walks.bit[target])
                             gain = count[target] if then != had else 0.0

@@ -98,6 +98,7 @@ class Pool(Generic[Given, Made]):
         """
         source, out = iter(tasks), dict[int, Given]()
         while True:
+            # Few tasks are taken ahead, because the iterable may be long.
             while len(out) < AHEAD * len(self._workers):
                 try:
                     task = next(source)
@@ -205,6 +206,7 @@ class _Worker(threading.Thread, Generic[Given, Made]):
         if self._pipe is not None:
             return self._pipe
         ours, theirs = Pipe()
+        # The parent's copy of the child's end is closed, so that the death of the child ends the pipe.
         with theirs, self._lock:
             if self._ended:
                 raise EOFError
@@ -226,6 +228,7 @@ class _Worker(threading.Thread, Generic[Given, Made]):
             self._pipe.close()
             self._pipe = None
         with self._lock:
+            # `end` runs in another thread, and must not kill a process that was already replaced.
             process, self._process = self._process, None
         if process is not None:
             process.kill()
@@ -250,6 +253,7 @@ class _Worker(threading.Thread, Generic[Given, Made]):
             if self._process is None or not self._busy or not hasattr(os, "waitid"):
                 return None
             try:
+                # WNOWAIT leaves the state in place for the next query.
                 found = os.waitid(os.P_PID, self._process.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT)
             except ChildProcessError:
                 return None

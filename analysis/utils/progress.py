@@ -55,6 +55,7 @@ class Announcer:
         """A compilation begins, possibly inside another."""
         with self._lock:
             self._depth += 1
+            # Nested compilations are part of the outermost one.
             if self._depth == 1:
                 self._began, self._current = time.monotonic(), self.what
 
@@ -140,13 +141,13 @@ class Watch:
         self._bar, self._usual, self._things = bar, things, things
         self.doing(things)
 
-    def doing(self, what: str) -> None:
+    def doing(self, stage: str) -> None:
         """A stage begins; its total is unknown."""
-        self._what, self._things, self._began = what, self._usual, time.monotonic()
+        self._what, self._things, self._began = stage, self._usual, time.monotonic()
         self._done, self._total, self._left = 0, 0, 0.0
         for old in self._bar.task_ids:
             self._bar.remove_task(old)
-        self._task = self._bar.add_task(what, total=None, count="", rate="")
+        self._task = self._bar.add_task(stage, total=None, count="", rate="")
 
     def __call__(self, done: int, total: int, seconds: float, more: str = "", things: str = "") -> None:
         """Report progress; `more`: text before it. `things`: the unit that is counted now."""
@@ -182,9 +183,9 @@ class Watch:
             self._bar.start()
 
 
-def with_compiling(what: str) -> str:
+def with_compiling(stage: str) -> str:
     """The stage after the compilation, if any: "compiling mrac, first run only, 35 s so far; rollouts"."""
-    return "; ".join(filter(None, (ANNOUNCER.line(), what)))
+    return "; ".join(filter(None, (ANNOUNCER.line(), stage)))
 
 
 class _What(ProgressColumn):
@@ -251,6 +252,7 @@ def _repeated(speak: Callable[[float], None], first: float, every: float) -> Ite
 
     def run() -> None:
         at = first
+        # Absolute times, so that delays do not add up.
         while not over.wait(max(clock + at - time.monotonic(), 0.0)):
             speak(at)
             at += every
@@ -289,7 +291,7 @@ class Interrupted(KeyboardInterrupt):
     """
 
     def __init__(self, partial: Found | None) -> None:
-        super().__init__("interrupted" if partial is None else "interrupted: what was done is in `partial`")
+        super().__init__("interrupted" if partial is None else "interrupted: the partial result is in `partial`")
         self.partial = partial
 
 

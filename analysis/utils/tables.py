@@ -74,6 +74,7 @@ class FittedTable(Table):
         whole = max((cell.maximum for cell in cells), default=0)
         needed = whole
         if column.justify != "right":
+            # Words may wrap between words, figures may not.
             needed = max(*(cell.minimum for cell in cells), min(whole, KEPT_WHOLE)) if cells else 0
         named = header.maximum if header.maximum <= SHORT else header.minimum
         return max(needed, named), max(whole, header.maximum)

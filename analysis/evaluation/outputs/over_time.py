@@ -127,6 +127,7 @@ def open_loop_curves(world: World, plan: Plan, choices: RolloutChoices, steps: N
     def few(start: int, count: int) -> NDArray[np.int32]:
         ids = np.arange(start, start + count, dtype=np.uint32)
         stops = np.stack([_stops(plan, k, world, choices.seed, ids) for k in range(len(plan.robots))], axis=1)
+        # A robot visits a cell if it is lost there, but not afterwards.
         at = np.where(entered <= stops[:, robot], seen_at, len(steps))
         first = np.minimum.reduceat(at, cell_begins, axis=1)
         bins = len(steps) + 1
@@ -143,6 +144,7 @@ def open_loop_curves(world: World, plan: Plan, choices: RolloutChoices, steps: N
 def _stops(plan: Plan, robot: int, world: World, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
     """The step at which the robot is lost in each rollout, int64 `[B]`; NEVER if it is not."""
     steps = plan.robots[robot].entered
+    # A robot is lost at the first entry where its cumulative hazard reaches its failure threshold.
     hazard = np.cumsum(world.exposures[0][plan.robots[robot].path[steps]])
     thresholds = plan.bearing.tolerances(seed, ids, robot + 1)[:, robot]
     return np.append(steps, NEVER)[np.searchsorted(hazard, thresholds, side="left")]

@@ -298,6 +298,7 @@ class Value(ValueFigures, Output):
         found, rest = found_chances(counted, worth)
         covered, known = (units.estimate(column, run.certain, tally.robots, run.choices.seed) for column in columns)
         (low, high), total = known.ci95, worth.total
+        # `rest` is an upper limit of the omitted visits: the lower end of the interval excludes it.
         least = low + rest if run.certain else low
         known = Estimate(min(known.mean + rest, total), known.se, (min(least, total), min(high + rest, total)))
         if run.certain:
@@ -374,10 +375,10 @@ class Units:
 
     def estimate(self, column: NDArray[np.int64], certain: bool, robots: int, seed: int) -> Estimate:
         """The mean of units `[B]` of rollouts 0 .. B - 1, as a value; `seed`: of their failure thresholds."""
-        count, luck = len(column), None
+        count, controls = len(column), None
         if count >= LEAST:
-            luck = CommonLuck.of(robots, luck_classes(seed, 0, count, robots), column, column)
-        return mean_value(column, self.worth.total, len(self.covered), certain, luck)
+            controls = CommonLuck.of(robots, luck_classes(seed, 0, count, robots), column, column)
+        return mean_value(column, self.worth.total, len(self.covered), certain, controls)
 
 
 def found_chances(tally: Tally, worth: Worth) -> tuple[NDArray[np.float64], float]:
@@ -385,6 +386,7 @@ def found_chances(tally: Tally, worth: Worth) -> tuple[NDArray[np.float64], floa
     at_least = tally.passes.reshape(-1, MOST_PASSES) / tally.rollouts
     counts, missed = tally.passes.reshape(-1, MOST_PASSES), 1.0 - worth.detect
     further = np.maximum(tally.visits - tally.stops - counts.sum(axis=1), 0) / np.maximum(counts[:, -1], 1)
+    # E[1 - missed**J] for integer J with mean `further` is largest if J is one of its two neighbours.
     whole = np.floor(further)
     left = 1.0 - missed**whole * (1.0 - (further - whole) * worth.detect)
     rest = missed**MOST_PASSES * at_least[:, -1] * left

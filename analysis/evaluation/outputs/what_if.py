@@ -282,6 +282,7 @@ class MapDoubt(Output):
         if not isinstance(doubt, Uncertain) or run.certain:
             return
         run.doing("the maps one by one")
+        # Up to 2**53 the number of maps is exact as a float of JSON.
         count, numbers = doubt.count, len(np.unique(doubt.number[run.world.threat > 0]))
         of = count**numbers if numbers * np.log2(count) <= 53 else None
         if run.choices.loop == "open":
