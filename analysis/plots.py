@@ -66,7 +66,7 @@ def _picture(kind: type[Kind], shows: str, name: str = "", needs: str = "") -> C
 
     def figure(answer: Kind) -> Figure:
         if not isinstance(answer, kind):
-            raise UsageError(argument("answer", answer), expected=f"a {kind.__name__}")
+            raise UsageError(argument("answer", answer), expected=f"a result of type {kind.__name__}")
         said = report_of(answer)
         if name and name not in said.pictures:
             raise UsageError(f"the evaluation has no {name}", expected=needs)

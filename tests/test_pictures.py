@@ -533,8 +533,8 @@ WRONG: dict[str, tuple[Callable[[mrac.World], object], str]] = {
     "plan alone": (lambda world: mrac.plots.world_figure(mrac.plan(world)), "^" + PLAN_ALONE + "$"),
     "count": (lambda world: mrac.plots.world_figure(world, 3), "plan=3; expected a Plan"),
     "other map": (lambda world: mrac.plots.world_figure(world, mrac.plan(mrac.load([[0, 0.1]]))), "for another map"),
-    "world": (lambda world: mrac.plots.covered_figure(world), "expected the answer Evaluation"),
-    "other answer": (lambda world: mrac.plots.front_figure(mrac.evaluate(world, rollouts=10)), "the answer Front"),
+    "world": (lambda world: mrac.plots.covered_figure(world), "expected a result of type Evaluation"),
+    "other answer": (lambda world: mrac.plots.front_figure(mrac.evaluate(world, rollouts=10)), "result of type Front"),
 }
 
 

@@ -65,7 +65,7 @@ def check_headline(checked: MapCheck) -> str:
     paper = [key for key, verdict in found.items() if verdict is not None and FORMULAS[key].paper]
     failing = [key for key in paper if found[key] is Verdict.FAILS]
     fail = "fails" if len(failing) == 1 else "fail"
-    said = f"{len(failing)} of the paper's {len(paper)} formulas, every reading counted, {fail} on this map"
+    said = f"{len(failing)} of the paper's {len(paper)} formulas, counting all readings, {fail} on this map"
     if failing:
         said += f": {'; '.join(FORMULAS[key].title for key in failing)}"
     empty = [key for key in paper if found[key] is Verdict.VACUOUS]
@@ -268,7 +268,7 @@ def survey_headline(survey: Survey) -> str:
     paper = {row.check.formula for row in survey.rows if row.check.about.paper}
     worlds = counted(survey.worlds, f"{survey.choices.kind} world")
     said = (
-        f"{len(survey.failing)} of the paper's {len(paper)} formulas, every reading counted, fail on some of {worlds}"
+        f"{len(survey.failing)} of the paper's {len(paper)} formulas, counting all readings, fail on some of {worlds}"
     )
     parts = [
         f"{FORMULAS[key].title} on up to {percent(row.fails.mean)} (k = {row.robots})"
@@ -354,7 +354,7 @@ def _survey_key_figures(survey: Survey) -> tuple[KeyFigure, ...]:
     rows, failing = survey.rows, survey.failing
     paper, ours = ({row.check.formula for row in rows if row.check.about.paper is of} for of in (True, False))
     return (
-        KeyFigure(f"{len(failing)} of {len(paper)}", "of the paper's formulas fail somewhere", "every reading counted"),
+        KeyFigure(f"{len(failing)} of {len(paper)}", "of the paper's formulas fail somewhere", "counting all readings"),
         KeyFigure(f"{len({check.formula for _, _, check in survey.faults})}", "proven formulas fail",
                   f"ours: {len(ours)} bounds"),
         KeyFigure(f"{sum(row.worlds for row in rows):,}", "comparisons", f"on {counted(survey.worlds, 'world')}"),

@@ -191,7 +191,7 @@ def formulas_words(evaluation: Evaluation) -> str:
         for verdict, number in counts.items()
         if number or verdict in (Verdict.HOLDS, Verdict.FAILS)
     ]
-    return f"Of the paper's {sum(counts.values())} formulas for the open loop, every reading counted, {', '.join(said)}"
+    return f"Of the paper's {sum(counts.values())} formulas for the open loop, counting all readings, {', '.join(said)}"
 
 
 def formulas_table(evaluation: Evaluation) -> Table:
