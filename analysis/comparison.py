@@ -1,7 +1,7 @@
-"""Two plans, settings, teams or maps on common random numbers: how far apart they are, and how sure that is.
+"""Comparison of two plans, settings, teams or maps on common random numbers.
 
-Rollout r of both sides meets the same luck: one threshold for robot i (SPEC section 14). What
-happens to both alike drops out of the difference, so its interval is narrower than that of independent runs.
+Rollout r of both sides has the same failure thresholds, one for each robot (SPEC section 14). Common effects cancel in
+the difference, so that its interval is narrower than for independent runs.
 """
 
 from __future__ import annotations
@@ -38,17 +38,14 @@ from planner.tally import RolloutResults, add_padded, no_counts
 from planner.world.world import World
 
 FIGURES = ("visited", "survived", "complete", "alive", "time")
-"""What is compared: cells covered in both meanings, whether all were, robots alive at the end, steps."""
+"""Compared figures: cells covered in both meanings, whether all were visited, robots alive at the end, steps."""
 OF_HOME = ("home", "all_home")
-"""And where robots come home: those that are home at the end, and whether all are."""
+"""Figures if robots return to base: the number of returned robots, and whether all have returned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """One of the two: a plan in its world, how it is rolled out, and its expected cells where they are known exactly.
-
-    `exact`: (visited, survived), or None.
-    """
+    """One side: a plan in its world, its rollouts, and its exact expected (visited, survived) cells, or None."""
 
     world: World
     plan: Plan
@@ -57,36 +54,36 @@ class Side:
 
     @cached_property
     def cells(self) -> int:
-        """Accessible cells."""
+        """Number of accessible cells."""
         return int(self.world.accessible(self.plan.starts).sum())
 
     @cached_property
     def longest(self) -> int:
-        """Steps that a run takes at most."""
+        """Most steps of a run."""
         most = longest_run(self.world, self.plan, self.choices.loop)
         return most if self.choices.deadline is None else min(most, self.choices.deadline)
 
     @property
     def comes_home(self) -> bool:
-        """Whether it is asked who comes home."""
+        """Whether the figures of OF_HOME apply."""
         choices, plan = self.choices, self.plan
         return plan.ends_home(choices.deadline) if choices.loop == "open" else plan.comes_home
 
     def unit(self, figure: str) -> float:
-        """What one of a figure is worth: cells are fractions of the accessible ones."""
+        """Factor of a figure: cells become fractions of the accessible cells."""
         return 1.0 / self.cells if figure in ("visited", "survived") else 1.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Answer):
-    """What two sides came to on the same rollouts.
+    """The result of a comparison: sums of both sides over the same rollouts.
 
     Attributes:
         a, b: the sides. pairs: by figure, sums of A's (x) and B's (y).
         ahead, behind: rollouts in which B visits a larger, a smaller fraction than A.
-        by_luck: sums of A's and B's figures by the luck of the larger team (`planner.rollouts.threshold_classes`).
-        seconds: of rolling out. partial: it was interrupted.
-        certain: nothing can happen to either side: every run is the one that was compared.
+        by_luck: sums of A's and B's figures by class of S of the larger team (`planner.rollouts.threshold_classes`).
+        seconds: computing time of the rollouts. partial: whether it was interrupted.
+        certain: no robot of either side can be lost, so that all runs are equal.
     """
 
     reported_by = "analysis.comparison:report"
@@ -104,16 +101,16 @@ class Comparison(Answer):
 
     @property
     def rollouts(self) -> int:
-        """Behind the figures."""
+        """Number of rollouts of each side."""
         return self.pairs["visited"].rollouts
 
     @property
     def figures(self) -> tuple[str, ...]:
-        """What both are compared in."""
+        """The figures in which both are compared."""
         return FIGURES + OF_HOME * all(side.comes_home for side in self.sides)
 
     def figures_of(self, side: Side) -> tuple[str, ...]:
-        """What one of them comes to."""
+        """The figures of one side."""
         return FIGURES + OF_HOME * side.comes_home
 
     @property
@@ -124,20 +121,21 @@ class Comparison(Answer):
 
     @property
     def differing(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """What A and B are where they are not alike, in words; empty if they are the same."""
+        """Descriptions of A and B where they differ; empty if they are equal."""
         return differing(self.a, self.b)
 
     def difference(self, figure: str) -> Difference:
-        """B - A: fractions of the accessible cells, chances, robots, steps; a point if both are alike."""
+        """B - A: fractions of the accessible cells, probabilities, robots, steps; a point if both are equal."""
+        # Equal sides: the difference is 0 by construction, not by sampling.
         if not any(self.differing):
             return Difference(Estimate(0.0, 0.0, (0.0, 0.0)), math.inf)
         reach = 1.0
         if figure in ("alive", "home", "time"):
             reach = float(max(side.longest if figure == "time" else len(side.plan.robots) for side in self.sides))
         units = self.a.unit(figure), self.b.unit(figure)
-        return difference(self.pairs[figure], *units, reach, self.certain, self._luck(figure))
+        return difference(self.pairs[figure], *units, reach, self.certain, self._controls(figure))
 
-    def _luck(self, figure: str) -> CommonLuck | None:
+    def _controls(self, figure: str) -> CommonLuck | None:
         if not len(self.by_luck[0]):
             return None
         a, b = (sums.reshape(-1, len(COLUMNS)) for sums in self.by_luck)
@@ -152,16 +150,17 @@ class Comparison(Answer):
         return self.a, self.b
 
     def mean(self, side: Side, figure: str) -> float:
-        """Of one of the sides, put right by the same luck as the difference."""
-        pairs, luck, first = self.pairs[figure], self._luck(figure), side is self.a
+        """The mean of one side, with the control variate of the difference."""
+        pairs, controls, first = self.pairs[figure], self._controls(figure), side is self.a
         mean = (pairs.x if first else pairs.y) / pairs.rollouts
-        if luck is not None and pairs.rollouts >= LEAST and not self.certain:
-            sums, plain = (luck.x, pairs.sample(1.0, 0.0)) if first else (luck.y, pairs.sample(0.0, 1.0))
-            mean = controlled(luck.by_class, sums.astype(np.float64), plain, luck.robots).mean
+        if controls is not None and pairs.rollouts >= LEAST and not self.certain:
+            # Least squares are linear in the figure: with common controls the means differ by exactly the difference.
+            sums, plain = (controls.x, pairs.sample(1.0, 0.0)) if first else (controls.y, pairs.sample(0.0, 1.0))
+            mean = controlled(controls.by_class, sums.astype(np.float64), plain, controls.robots).mean
         return mean * side.unit(figure)
 
     def exact_difference(self, figure: str) -> float | None:
-        """B - A of expected "visited" or "survived" coverage, where both are known."""
+        """B - A of expected "visited" or "survived" coverage, if both are known exactly."""
         if self.a.exact is None or self.b.exact is None:
             return None
         at = FIGURES.index(figure)
@@ -169,7 +168,7 @@ class Comparison(Answer):
 
 
 def differing(a: Side, b: Side) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """What each side is where they are not alike: map, plan, team, loop, settings; empty for the same on both sides."""
+    """Descriptions of both sides where they differ: map, plan, team, loop, settings; empty if they are equal."""
     words: tuple[list[str], list[str]] = ([], [])
     both_planned = not a.plan.is_foreign and not b.plan.is_foreign
     mine, theirs = _traits(a, both_planned), _traits(b, both_planned)
@@ -177,6 +176,7 @@ def differing(a: Side, b: Side) -> tuple[tuple[str, ...], tuple[str, ...]]:
         if mine[name] != theirs[name]:
             words[0].append(mine[name])
             words[1].append(theirs[name])
+    # Equal descriptions may still belong to different maps, paths or mission states.
     if mine == theirs:
         paths = [[robot.path.tolist() for robot in side.plan.robots] for side in (a, b)]
         if a.world.luck_sha256 != b.world.luck_sha256:
@@ -184,40 +184,40 @@ def differing(a: Side, b: Side) -> tuple[tuple[str, ...], tuple[str, ...]]:
             words[1].append("another map of that name")
         elif paths[0] != paths[1]:
             same_starts = np.array_equal(a.plan.starts, b.plan.starts)
-            what = "plan" if same_starts else "starts"
-            words[0].append(f"its own {what}")
-            words[1].append(f"another {what}" if what == "plan" else "other starts")
+            kind = "plan" if same_starts else "starts"
+            words[0].append(f"its own {kind}")
+            words[1].append(f"another {kind}" if kind == "plan" else "other starts")
         else:
             one, other = _begun(a.plan), _begun(b.plan)
-            for what in [what for what in one if one[what] != other[what]]:
-                words[0].append(f"its own {what}")
-                words[1].append(f"another {what}")
+            for kind in [kind for kind in one if one[kind] != other[kind]]:
+                words[0].append(f"its own {kind}")
+                words[1].append(f"another {kind}")
     return tuple(words[0]), tuple(words[1])
 
 
 def _begun(plan: Plan) -> dict[str, object]:
-    """What a plan goes on from: the state of the mission that it is the rest of, and the allocation."""
+    """The start of a plan: the mission state that it resumes, and its allocation."""
     areas = [(area.level, area.robot, area.cells.tolist()) for area in plan.areas]
     return {"state": None if plan.state is None else plan.state.to_json(), "allocation": areas}
 
 
 def _traits(side: Side, with_settings: bool) -> dict[str, str]:
-    """What a side is, by what it is a matter of, in words: the same keys for both sides."""
+    """The description of a side by aspect; the keys are the same for both sides."""
     plan, choices = side.plan, side.choices
     known, doubt = side.world.knowledge, side.world.doubt
     found = {
         "map": f"map {side.world.source}",
-        "doubt": "a map that is not in doubt" if doubt is None else doubt.said,
-        "knowledge": "robots are told the map" if known is None else known.sense.said,
+        "doubt": "a certain map" if doubt is None else doubt.said,
+        "knowledge": "known map" if known is None else known.sense.said,
         "robots": counted(len(plan.robots), "robot"),
         "plan": f"{'a' if plan.for_open_loop else 'an'} {plan.origin}",
         "loop": "open loop" if choices.loop == "open" else "closed loop",
         "checks": "first visits only" if choices.first_only else "every visit checked",
     }
     if plan.is_foreign:
-        found["bears"] = plan.bearing.said or "robots that do not wear, and are alike"
+        found["failures"] = plan.bearing.said or "Weibull shape 1, equal robots"
     settings = plan.settings.said() if with_settings and plan.settings is not None else {}
-    if settings and choices.deadline is not None:  # it ends both, whoever knows of it
+    if settings and choices.deadline is not None:  # it ends both sides, also a plan made without it
         settings["deadline"] = choices.deadline
     return found | {
         name: f"no {name.replace('_', ' ')}" if value is None else f"{name.replace('_', ' ')} {_short(value)}"
@@ -226,12 +226,12 @@ def _traits(side: Side, with_settings: bool) -> dict[str, str]:
 
 
 def _short(value: object) -> object:
-    """A setting as one would say it: 30.8, and 40 for 40.0."""
+    """A setting as text: 30.8, and 40 for 40.0."""
     return f"{value:g}" if isinstance(value, float) else value
 
 
 def make_side(world: World, plan: Plan, choices: RolloutChoices) -> Side:
-    """A side, with its exact expected coverage where that is cheap. Raises InputError."""
+    """A side, with its exact expected coverage if that is fast to compute. Raises InputError."""
     choices = choices.timed(world.pace)
     check_deadline(plan, choices)
     plan = knowing_deadline(world, plan, choices)
@@ -245,13 +245,17 @@ def make_side(world: World, plan: Plan, choices: RolloutChoices) -> Side:
 
 
 def compare(a: Side, b: Side, progress: ProgressCallback | None = None, kept: AllPairs | None = None) -> Comparison:
-    """Both sides on the same rollouts: as many as A's choices ask for, or until the difference is as precise.
+    """Compare both sides on the same rollouts.
 
-    `precision`: of the difference of mean visited coverage.
-    Raises UsageError for sides of other rollouts: rollout r of one is then not that of the other.
-    `kept`: where tables that do not depend on the team are kept.
-    One rollout where nothing can happen to either side. An interruption (KeyboardInterrupt) leaves what was done,
-    `partial`; if that is nothing, it is raised again.
+    An interruption (KeyboardInterrupt) returns the rollouts done so far, `partial`; without any it is raised again.
+
+    Args:
+        a, b: the sides. A's choices give the number of rollouts, or the precision of the difference of mean visited
+            coverage. If no robot of either side can be lost, one rollout is run.
+        progress: receives the number of rollouts done. kept: cache of tables that do not depend on the team.
+
+    Raises:
+        UsageError: the sides have different seeds, rollouts or precisions.
     """
     choices = a.choices
     for name in ("seed", "rollouts", "precision"):
@@ -264,6 +268,7 @@ def compare(a: Side, b: Side, progress: ProgressCallback | None = None, kept: Al
     answer = Comparison(a, b, {figure: Paired() for figure in FIGURES + OF_HOME}, 0, 0, 0.0, certain=certain)
     most, total = (choices.rollouts, choices.rollouts) if choices.precision is None else (MOST_ROLLOUTS, 0)
     cells = max(a.cells, b.cells)
+    # The precision is tested at fixed marks only, so that the result does not depend on chunk sizes.
     marks, unit = looks(), worth_a_call(cells) if cells <= MOST_TABLED else 1
     try:
         singles = [make_singles(side.world, side.plan, side.choices, kept=kept) for side in (a, b)]
@@ -290,6 +295,7 @@ def compare(a: Side, b: Side, progress: ProgressCallback | None = None, kept: Al
 def _add(so_far: Comparison, a: RolloutResults, b: RolloutResults, seconds: float) -> Comparison:
     sides = (so_far.a, a), (so_far.b, b)
     pairs = {f: before + Paired.of(*(_figure(*side, f) for side in sides)) for f, before in so_far.pairs.items()}
+    # Cross-multiplied, so that integers compare the fractions of the accessible cells exactly.
     mine, theirs = a.visited.astype(np.int64) * so_far.b.cells, b.visited.astype(np.int64) * so_far.a.cells
     ahead, behind = int((theirs > mine).sum()), int((theirs < mine).sum())
     found = replace(so_far, pairs=pairs, ahead=so_far.ahead + ahead, behind=so_far.behind + behind, seconds=seconds)
@@ -299,7 +305,7 @@ def _add(so_far: Comparison, a: RolloutResults, b: RolloutResults, seconds: floa
 
 
 def most_robots(a: Side, b: Side) -> int:
-    """Of the larger team."""
+    """Size of the larger team."""
     return max(len(side.plan.robots) for side in (a, b))
 
 
@@ -315,7 +321,7 @@ def _figure(side: Side, results: RolloutResults, figure: str) -> NDArray[np.int3
     return values
 
 
-# What `mrac-jax compare` says: the difference in a sentence, a row for each figure.
+# The report of `mrac-jax compare`: the difference in a sentence, a row for each figure.
 
 SHOWN = {
     "visited": ("visited, %", 100.0),
@@ -323,17 +329,17 @@ SHOWN = {
     "complete": ("chance to visit every cell, %", 100.0),
     "alive": ("robots alive at the end", 1.0),
     "time": ("time, steps", 1.0),
-    "home": ("robots home at the end", 1.0),
-    "all_home": ("chance that all are home, %", 100.0),
+    "home": ("robots back at base", 1.0),
+    "all_home": ("chance that all are back at base, %", 100.0),
 }
 """Name and scale of each figure in the table."""
 NARROW = 0.1
-"""A share, robots or steps: no wider an interval says too little, however small the figures are."""
-TABLE_NOTE = "from .. to: 95 % interval of B - A; sharper: variance of the difference on independent runs / on these"
+"""Width of an interval (a share, robots or steps) up to which it is never called too wide."""
+TABLE_NOTE = "from .. to: 95 % interval of B - A; gain: variance of the difference of independent runs / of these"
 
 
 def report(answer: Comparison) -> Report:
-    """How far apart the two are, figure by figure."""
+    """The report of a comparison."""
     rate, a, b = answer.rollouts / max(answer.seconds, 1e-9), answer.a, answer.b
     names = dict.fromkeys(side.world.name for side in (a, b))
     certain = "no cell on the way of either is dangerous, so every run is the same and 1 rollout is enough"
@@ -343,15 +349,15 @@ def report(answer: Comparison) -> Report:
         heading=(f"A: {_said(a)}", f"B: {_said(b)}", *[certain] * answer.certain,
                  f"{counted(answer.rollouts, 'rollout')} on common random numbers, seed {a.choices.seed}"),
         took=[f"{rate:,.0f} rollouts a second of both"], parts=[Part("Figures", [_table(answer)], [TABLE_NOTE])],
-        notes=_notes(answer), warnings=["Interrupted: what was done so far."] * answer.partial,
+        notes=_notes(answer), warnings=["Interrupted: the rollouts done so far are shown."] * answer.partial,
         pace=_pace(answer),
     )  # fmt: skip
 
 
 def headline(answer: Comparison) -> str:
-    """The difference in expected visited coverage in one sentence, which says what A and B differ in."""
+    """The difference of expected visited coverage in one sentence, with the descriptions of A and B."""
     if not any(answer.differing):
-        return "A and B are the same in everything: no difference (exact)."
+        return "A and B are equal: no difference (exact)."
     one, other = (f"{name} ({', '.join(words)})" for name, words in zip("AB", answer.differing, strict=True))
     runs = f"it is {_often(answer, 'ahead')}, {_often(answer, 'behind')}"
     known = answer.exact_difference("visited")
@@ -382,30 +388,30 @@ def _more(value: float) -> str:
 
 
 def _notes(answer: Comparison) -> list[str]:
-    """What else a reader of the difference should know of the two."""
+    """Notes on the validity of the difference."""
     found, many = [], len(answer.differing[0]) > 1
     if not answer.same_cells:
-        found.append("A and B can reach different cells; coverage is of each one's own")
+        found.append("A and B can reach different cells; coverage is a share of each side's own cells")
     if answer.a.choices.loop != answer.b.choices.loop:
         closed, open_ = ("A", "B") if answer.a.choices.loop == "closed" else ("B", "A")
         found.append(
-            f"in {closed} the survivors take over the areas of the lost, in {open_} nobody does: the difference is the "
-            "loop's too" + (f"; {closed}'s plan alone: --loop open" if many else "")
+            f"in {closed} the areas of lost robots are reassigned, in {open_} not: the difference includes the "
+            "effect of the loop" + (f"; {closed}'s plan alone: --loop open" if many else "")
         )
     for name, side in zip("AB", answer.sides, strict=True):
         if side.comes_home and "home" not in answer.figures:
             mean, every = (answer.mean(side, figure) for figure in OF_HOME)
-            said = f"{name}'s robots come home, {lost_words(mean, len(side.plan.robots))}"
+            said = f"{name}'s robots return to base, {lost_words(mean, len(side.plan.robots))}"
             found.append(f"{said}, all of them in {percent(every)} of runs; the other side's need not")
     if vague := [SHOWN[figure][0] for figure in answer.figures if _is_vague(answer, figure)]:
         found.append(f"too few rollouts to compare {', '.join(vague)}: the intervals are wider than the figures")
     if many:
-        found.append("A and B differ in more than one thing; the difference is that of all together")
+        found.append("A and B differ in more than one aspect; the difference is the effect of all of them")
     return found
 
 
 def _is_vague(answer: Comparison, figure: str) -> bool:
-    """Whether the interval of a difference says less than the figures of both sides do."""
+    """Whether the interval of a difference is wider than the figures of both sides."""
     apart = answer.difference(figure).estimate
     low, high = apart.ci95
     largest = max(abs(answer.mean(side, figure)) for side in answer.sides)
@@ -417,20 +423,20 @@ def _said(side: Side) -> str:
     made = plan.origin if plan.is_foreign else counted(len(plan.areas), "area")
     first = ", first visits only" if choices.first_only else ""
     by = "" if choices.deadline is None else f", by step {choices.deadline}{side.world.pace.also(choices.deadline)}"
-    who = f"{side.world.source}, {counted(len(plan.robots), 'robot')}"
+    input_said = f"{side.world.source}, {counted(len(plan.robots), 'robot')}"
     means = bearing_words(plan, side.world)
     span = span_words(plan, side.world.pace)
-    return f"{who}, {made}, {span}; {choices.loop} loop{first}{by}{'; ' if means else ''}{means}"
+    return f"{input_said}, {made}, {span}; {choices.loop} loop{first}{by}{'; ' if means else ''}{means}"
 
 
 def _pace(answer: Comparison) -> Pace:
-    """How long a step takes, where it takes as long on both sides."""
+    """The length of a step, if it is the same on both sides."""
     pace = answer.a.world.pace
     return pace if pace == answer.b.world.pace else UNPACED
 
 
 def _shown(answer: Comparison) -> list[tuple[str, str, float]]:
-    """Each row's figure, name and scale."""
+    """Figure, name and scale of each row."""
     pace = _pace(answer)
     minutes = [("time", "time, minutes", pace.minutes)] * bool(pace)
     return [*((figure, *SHOWN[figure]) for figure in answer.figures), *minutes]
@@ -453,8 +459,8 @@ def _table(answer: Comparison) -> Table:
     exactly = ["exact"] * any(value is not None for value in known.values())
     differ = zip("AB", answer.differing, strict=True)
     title = "; ".join(f"{name}: {', '.join(words)}" for name, words in differ if words)
-    columns = ("", "A", "B", "B - A", "from", "to", *exactly, "sharper")
-    table = make_table(columns, title or None, dropped=("sharper",), padding=(0, 1, 0, 0))
+    columns = ("", "A", "B", "B - A", "from", "to", *exactly, "gain")
+    table = make_table(columns, title or None, dropped=("gain",), padding=(0, 1, 0, 0))
     for figure, name, scale in _shown(answer):
         apart, exact = answer.difference(figure), known.get(figure)
         table.add_row(
@@ -468,7 +474,7 @@ def _table(answer: Comparison) -> Table:
 
 
 def _mean(answer: Comparison, side: Side, figure: str, scale: float) -> str:
-    """A side's mean, exact where that is known."""
+    """A side's mean, exact if that is known."""
     mean, known = answer.mean(side, figure), side.exact
     if known is not None and figure in FIGURES[:2]:
         mean = side.unit(figure) * known[FIGURES.index(figure)]
@@ -479,7 +485,7 @@ def _mean(answer: Comparison, side: Side, figure: str, scale: float) -> str:
 
 
 def _json(answer: Comparison) -> Json:
-    """Coverage and its differences are fractions of the accessible cells."""
+    """The JSON object; coverage and its differences are fractions of the accessible cells."""
     apart = {figure: answer.difference(figure) for figure in answer.figures}
     return {
         "answer": headline(answer),

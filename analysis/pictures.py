@@ -1,4 +1,4 @@
-"""The matplotlib kit: colours, headings and layout, and a map as a picture; knows no answer."""
+"""Utilities for matplotlib: colours, headings and layout, and a map as a picture."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from planner.simulator.codes import NO_AREA
 from planner.world.levels import ThreatLevels, find_levels
 from planner.world.world import World
 
-# How pictures look: colours, the layout of a figure for a map's shape, headings, and numbers as words.
+# Style of pictures: colours, the layout of a figure for a map's shape, headings, and formats of numbers.
 #
-# Matplotlib's object interface only: nothing here or in the modules that use it touches pyplot or its global state.
+# Only matplotlib's object interface: neither this module nor its users touch pyplot or its global state.
 
 LineStyle: TypeAlias = str | tuple[int, tuple[float, ...]]
 """A name, or (offset, lengths of dashes and gaps)."""
 Look: TypeAlias = dict[str, Any]
-"""Keywords that a drawing of matplotlib takes."""
+"""Keyword arguments of a matplotlib drawing function."""
 WIDTH = 8.0
 """Width of every figure in inches."""
 DPI = 150
@@ -51,7 +51,7 @@ FINE_FROM = 100
 INK, FAINT, GRID = "#20242b", "#5b6470", "#d9dce1"
 OBSTACLE, UNREACHABLE, SAFE, FOG = "#3d434c", "#dfe5ee", "#fcfbf8", "#4a4560"
 ROBOT_COLOURS = ("#0072b2", "#00916a", "#7a2fa0", "#111111", "#2fa8e6", "#8a7f00", "#d6409f", "#7a4a24")
-"""Eight colours that stay apart for colour-blind readers and on the reds of the threat scale."""
+"""Eight colours that colour-blind readers can distinguish, also on the reds of the threat scale."""
 LINE_STYLES: tuple[LineStyle, ...] = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
 HALO = [withStroke(linewidth=1.8, foreground="white")]
 """Keeps small text readable on any cell."""
@@ -64,7 +64,7 @@ LOSSES = LinearSegmentedColormap.from_list("losses", ["#fcfbf8", "#fbd3a5", "#f0
 RC = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
-    "text.parse_math": False,  # a `$` in somebody's words is no formula
+    "text.parse_math": False,  # a `$` in a user's text is not a formula
     "axes.edgecolor": FAINT,
     "axes.labelcolor": FAINT,
     "axes.linewidth": 0.7,
@@ -83,13 +83,13 @@ RC = {
 
 @dataclass(frozen=True)
 class Key:
-    """What a drawn map needs around it.
+    """Elements around a drawn map.
 
     Attributes:
         title, subtitle: the two lines above it.
-        scale: what the colour bar shows; label: its meaning; ticks: where it is labelled (None: its own choice).
-        tick_labels: the words at `ticks`.
-        handles: the legend's entries. lines: short texts to list below the legend.
+        scale: of the colour bar; label: its meaning; ticks: its labelled positions (None: automatic).
+        tick_labels: the labels at `ticks`.
+        handles: the legend's entries. lines: short texts below the legend.
     """
 
     title: str
@@ -104,9 +104,9 @@ class Key:
 
 @dataclass(frozen=True)
 class ThreatScale:
-    """The colour of every chance to be stopped, on one map: the same p, the same colour, in pictures and on the page.
+    """The colour of every p on one map: equal p have equal colours, in pictures and on the page.
 
-    The map's levels are evenly apart on the scale, p = 0 at its start; between two levels it is linear in p.
+    The map's levels are evenly spaced on the scale, p = 0 at its start; between two levels it is linear in p.
 
     Attributes:
         norm: p to 0..1. colours: 0..1 to a colour, in SHADES steps. at_levels: the levels' own colours, RGBA.
@@ -139,7 +139,7 @@ class MapLayout:
     Attributes:
         size: of the figure. map_box, bar_box: the map's axes and the colour bar's.
         legend, lines: upper-left corners of the legend and of the listed lines (None: below the legend).
-        columns: of the legend; more than one if the key lies below the map, one if it stands beside it.
+        columns: of the legend; more than one if the key lies below the map, one if it is next to it.
     """
 
     size: tuple[float, float]
@@ -151,14 +151,15 @@ class MapLayout:
 
 
 def map_layout(shape: tuple[int, int], entries: int, metres: bool = False) -> MapLayout:
-    """The layout for a map of `shape`: a wide one takes the whole width, any other leaves room for its key beside it.
+    """The layout for a map of `shape`: a wide map takes the whole width, any other leaves room for its key at the side.
 
-    `entries`: of the legend. metres: with room for axes in metres below the map and at its right.
+    `entries`: of the legend. metres: leave room for axes in metres below the map and at its right.
     """
     height, width = shape
     left, right, top, bottom = 0.62, 0.25, 0.78, 0.55
     beside = 0.55 if metres else 0.0
     right, bottom = right + beside, bottom + (0.42 if metres else 0.0)
+    # A wide map takes the whole width, with its key below.
     if width > 1.5 * height:
         cell, columns = min((WIDTH - left - right) / width, 1.1), 6
         rows = -(-entries // columns)
@@ -182,7 +183,7 @@ def inches(figure: Figure, box: Sequence[float]) -> tuple[float, float, float, f
 
 
 def heading(axes: Axes, title: str, subtitle: str, left: float = 0.0) -> None:
-    """Two lines above `axes`, flush with its left side or `left` inches to the right of it; long ones are smaller."""
+    """Two lines above `axes`, at its left side or `left` inches to the right of it; long ones are smaller."""
     large, small = 13.0 * min(1.0, 62 / len(title)), 9.5 * min(1.0, 98 / len(subtitle))
     across = left * 72 / size_points(axes)[0]
     axes.set_title(title, loc="left", x=across, fontsize=large, fontweight="bold", color=INK, pad=25)
@@ -190,7 +191,7 @@ def heading(axes: Axes, title: str, subtitle: str, left: float = 0.0) -> None:
 
 
 def map_axes(axes: Axes, shape: tuple[int, int], cell_size: float) -> None:
-    """Row 0 at the top, equal aspect, whole numbers as ticks; metres are named where a cell is not one metre."""
+    """Row 0 at the top, equal aspect, integer ticks; the cell size is named unless it is one metre."""
     height, width = shape
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal")
     unit = "" if cell_size == 1.0 else f"  (cells of {cell_size:g} m)"
@@ -202,14 +203,14 @@ def map_axes(axes: Axes, shape: tuple[int, int], cell_size: float) -> None:
 
 
 def in_metres(cell_size: float, origin: Sequence[float]) -> bool:
-    """Whether a map has a scale of its own: cells that are not 1 m, or a place in a frame."""
+    """Whether a map has a metric scale: cells that are not 1 m, or an origin in a frame."""
     return cell_size != 1.0 or any(value != 0 for value in origin)
 
 
 def metre_axes(axes: Axes, shape: tuple[int, int], cell_size: float, origin: Sequence[float]) -> None:
-    """A second pair of axes, below and at the right, in the metres of the map's frame (kilometres of a large map).
+    """A second pair of axes, below and at the right, in the metres of the map's frame (kilometres for a large map).
 
-    Where the grid is turned in its frame, they count from its lower-left corner.
+    If the grid is rotated in its frame, they count from its lower-left corner.
     """
     height, width = shape
     east, north = (origin[0], origin[1]) if origin[2] == 0 else (0.0, 0.0)
@@ -249,7 +250,7 @@ def plain(axes: Axes) -> None:
 
 
 def root_figure(axes: Axes) -> Figure:
-    """The figure that `axes` is drawn on."""
+    """The figure that contains `axes`."""
     figure = axes.get_figure(root=True)
     if figure is None:
         raise ValueError("these axes are on no figure")
@@ -270,7 +271,7 @@ def cell_points(axes: Axes, shape: tuple[int, int]) -> float:
 
 
 def cell_ticks(cells: int) -> Locator:
-    """Ticks at rows or columns: every one of a few, some of many."""
+    """Ticks at rows or columns: all of a few, some of many."""
     return FixedLocator(range(cells)) if cells <= 8 else whole_ticks(8)
 
 
@@ -281,13 +282,13 @@ def whole_ticks(most: int) -> Locator:
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Matplotlib's defaults with the house's settings, whatever the user's own are; restored at the end."""
+    """Matplotlib's defaults with the settings of this package, restored at the end; the user's are ignored."""
     with style.context(["default", RC]):
         yield
 
 
 class Picture(Figure):
-    """A figure that shows itself in a notebook: IPython learns of others through pyplot, which is not used here."""
+    """A figure that displays in a notebook; IPython finds other figures through pyplot, which is not used here."""
 
     def _repr_png_(self) -> bytes:
         with house_style():
@@ -301,14 +302,14 @@ def new_figure(size: tuple[float, float], dpi: int = DPI) -> Picture:
     return figure
 
 
-def png_of(draw: Callable[..., Figure], *what: object) -> bytes:
-    """What `draw(*what)` makes, in the house's style, as PNG; the same arguments give the same bytes."""
+def png_of(draw: Callable[..., Figure], *given: object) -> bytes:
+    """The figure `draw(*given)` as PNG, in the style of this package; equal arguments give equal bytes."""
     with house_style():
-        return png_bytes(draw(*what))
+        return png_bytes(draw(*given))
 
 
 def png_bytes(figure: Figure) -> bytes:
-    """The figure as PNG, with its titles as its description; the same figure gives the same bytes (no date)."""
+    """The figure as PNG, with its titles as its description; equal figures give equal bytes (no date)."""
     out, titles = io.BytesIO(), [axes.get_title("left").replace("\n", " ") for axes in figure.axes]
     described = visible("; ".join(filter(None, titles)))
     figure.savefig(out, format="png", dpi=figure.dpi, metadata={"Software": None, "Description": described})
@@ -321,15 +322,15 @@ def robot_style(robot: int) -> tuple[str, LineStyle]:
     return ROBOT_COLOURS[colour], LINE_STYLES[turn % len(LINE_STYLES)]
 
 
-# A map as a picture: cells by value, obstacles and what is out of reach, with its heading, scale and legend.
+# A map as a picture: cells by value, obstacles and unreachable cells, with heading, scale and legend.
 
 SMALLEST = 0.5
-"""Cells smaller than this, in points, get no outlines and no hatching: they would hide what they mark."""
+"""Smallest cells, in points, with outlines and hatching, which would hide smaller ones."""
 HATCH = "/" * 5
 
 
 def map_figure(world: World, entries: int = 4) -> tuple[Figure, MapLayout]:
-    """An empty figure for the map and a legend of `entries`: its first Axes is the map's."""
+    """An empty figure for the map and a legend of `entries`; its first Axes is the map's."""
     layout = map_layout(world.shape, entries, in_metres(world.cell_size, world.origin))
     figure = new_figure(layout.size, FINE_DPI if max(world.shape) > FINE_FROM else DPI)
     figure.add_axes(inches(figure, layout.map_box))
@@ -337,7 +338,7 @@ def map_figure(world: World, entries: int = 4) -> tuple[Figure, MapLayout]:
 
 
 def with_key(figure: Figure, layout: MapLayout, key: Key) -> Figure:
-    """Heading, colour bar, legend and listed lines round the map."""
+    """Add heading, colour bar, legend and lines around the map."""
     heading(figure.axes[0], key.title, key.subtitle)
     legend = draw_key(figure, layout.bar_box, layout.legend, layout.columns, key)
     if key.lines:
@@ -349,7 +350,7 @@ def with_key(figure: Figure, layout: MapLayout, key: Key) -> Figure:
 
 
 def draw_key(figure: Figure, box: Sequence[float], place: Sequence[float], columns: int, key: Key) -> Legend:
-    """The colour bar in a rectangle, flat if the legend has several columns; the legend right of and below `place`.
+    """The colour bar in a rectangle, horizontal if the legend has several columns; the legend's corner is at `place`.
 
     Both in inches from the figure's lower-left corner.
     """
@@ -362,7 +363,7 @@ def draw_key(figure: Figure, box: Sequence[float], place: Sequence[float], colum
     bar.outline.set_linewidth(0.5)
     bar.set_label(key.label, color=FAINT, fontsize=8.5)
     if columns == 1:
-        bar.ax.yaxis.set_label_position("left")  # right of long numbers it would stand in the legend
+        bar.ax.yaxis.set_label_position("left")  # at the right it would overlap the legend
     return figure.legend(
         handles=[handle for column in range(columns) for handle in key.handles[column::columns]],
         loc="upper left",
@@ -375,7 +376,7 @@ def draw_key(figure: Figure, box: Sequence[float], place: Sequence[float], colum
 
 
 def paint(axes: Axes, world: World, accessible: NDArray[np.bool_], values: NDArray, scale: ScalarMappable) -> None:
-    """The cells as one picture, with their axes."""
+    """Draw the cells as one image, with their axes."""
     pixels = cell_points(axes, world.shape) / 72 * root_figure(axes).dpi
     image = cell_colours(world, accessible, scale.to_rgba(np.where(accessible, values, 0)))
     axes.imshow(image, interpolation="nearest" if pixels >= 1 else "auto", zorder=0)
@@ -386,7 +387,7 @@ def paint(axes: Axes, world: World, accessible: NDArray[np.bool_], values: NDArr
 
 
 def cell_colours(world: World, accessible: NDArray[np.bool_], colours: NDArray[np.float64]) -> NDArray[np.float64]:
-    """RGBA `[H, W, 4]` of every cell; obstacles and cells out of reach have colours of their own."""
+    """RGBA `[H, W, 4]` of every cell; obstacles and unreachable cells have separate colours."""
     reached = np.where(accessible[..., None], colours, to_rgba(UNREACHABLE))
     return np.where(world.free[..., None], reached, to_rgba(OBSTACLE))
 
@@ -396,6 +397,7 @@ def hatch(axes: Axes, mask: NDArray[np.bool_]) -> None:
     if not mask.any() or cell_points(axes, mask.shape) < SMALLEST:
         return
     steps = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    # One patch of all runs is much faster than a patch for each cell.
     rows, begins = np.nonzero(steps == 1)
     ends = np.nonzero(steps == -1)[1]
     left, right, top, bottom = begins - 0.5, ends - 0.5, rows - 0.5, rows + 0.5
@@ -406,7 +408,7 @@ def hatch(axes: Axes, mask: NDArray[np.bool_]) -> None:
 
 
 def draw_borders(axes: Axes, labels: NDArray[np.int64], colour: str, width: float, alpha: float) -> None:
-    """Thin lines along the cell sides between different `labels` `[H, W]`; -1 is no label, and draws no line."""
+    """Thin lines along the cell sides between different `labels` `[H, W]`; -1 has no border."""
     down = (labels[1:] != labels[:-1]) & (labels[1:] >= 0) & (labels[:-1] >= 0)
     across = (labels[:, 1:] != labels[:, :-1]) & (labels[:, 1:] >= 0) & (labels[:, :-1] >= 0)
     rows, cols = np.nonzero(down)
@@ -429,22 +431,22 @@ def terrain_handles(world: World, accessible: NDArray[np.bool_]) -> list[Patch]:
     return handles
 
 
-# Robots on a map: lanes of their paths, labels of those that start together.
+# Robots on a map: shifts of their paths, labels of robots that start together.
 
 MOST_LEVELS = 16
-"""Levels shown of another planner's plan, which names none (the planner's own default)."""
+"""Levels shown for an external plan, which names none (the planner's own default)."""
 
 
 MOST_LABELS = 10
-"""Robots with an entry of their own in the legend."""
+"""Most labels on a scale of levels."""
 
 
 LABEL_HEIGHT = 13.0
-"""Of the markers at the starts, in points."""
+"""Height of the markers at the starts, in points."""
 
 
 def lane(robot: int, robots: int) -> float:
-    """How far right and down of the cells' centres a robot's path is drawn, so that shared corridors can be read."""
+    """Shift of a robot's path to the right and down, in cells, so that paths in shared corridors stay distinct."""
     return 0.62 * ((robot + 0.5) / robots - 0.5)
 
 
@@ -458,7 +460,7 @@ class Label:
 
 
 def robots_name(group: list[int]) -> str:
-    """What several robots are called."""
+    """The label of several robots."""
     text = ranges(group)
     return text if len(text) <= 9 else f"{len(group)} robots"
 
@@ -482,7 +484,7 @@ def group_labels(
 ) -> list[Label]:
     """Labels for `cells` `[M, 2]` that neither overlap nor leave a map of `shape`; `points`: the side of a cell.
 
-    `name_of`: the text for a group of them. A cell joins the first group whose first cell is near; near grows until no
+    `name_of`: the text for a group. A cell joins the first group whose first cell is near; the distance grows until no
     two labels overlap.
     """
     reach = LABEL_HEIGHT / points
@@ -496,6 +498,7 @@ def group_labels(
         if (gap < (size[:, None] + size[None, :]) / 2).all(axis=-1).sum() == len(groups):
             where = ((float(row), float(col)) for row, col in places)
             return [Label(*label) for label in zip(groups, names, where, strict=True)]
+        # Larger groups, until no two labels overlap.
         reach *= 1.4
 
 
@@ -522,7 +525,7 @@ LISTED_ROBOTS = 16
 
 
 def plan_figure(world: World, plan: Plan | None = None, more: str = "") -> Figure:
-    """The world by threat level, and a plan's areas and nominal paths; `more`: words that end the second line."""
+    """The world by threat level, with a plan's areas and nominal paths; `more`: text at the end of the second line."""
     entries = 1 if plan is None else min(len(plan.robots), LISTED_ROBOTS)
     figure, layout = map_figure(world, entries + 4)
     return with_key(figure, layout, _draw(figure.axes[0], world, plan, more))
@@ -548,7 +551,7 @@ def _draw(axes: Axes, world: World, plan: Plan | None, more: str) -> Key:
         + (f"; {counted(unreachable, 'free cell')} out of reach" if unreachable else "")
         + more,
         label=(
-            "chance that one visit stops the robot"
+            "chance that one visit destroys the robot"
             if plan is None or plan.bearing.is_even
             else "p, the dose of a visit"
         )
@@ -559,7 +562,7 @@ def _draw(axes: Axes, world: World, plan: Plan | None, more: str) -> Key:
 
 
 def level_scale(levels: NDArray[np.float64], known: ThreatScale) -> Look:
-    """The scale of a `Key` for a map's levels `[L]`, in steps, with its ticks and their words."""
+    """The scale of a `Key` for a map's levels `[L]`, in steps, with its ticks and labels."""
     number = len(levels)
     every = -(-number // MOST_LABELS)
     labels = ["safe", *map(chance, levels[1:])]
@@ -579,7 +582,7 @@ def _title(plan: Plan | None, cells: int, kind: str, levels: ThreatLevels) -> st
 
 
 def _draw_plan(axes: Axes, plan: Plan, points: float) -> None:
-    """The borders of its areas and its paths; `points`: side of a cell."""
+    """Draw the borders of its areas and its paths; `points`: side of a cell."""
     if plan.areas and points >= SMALLEST:
         draw_borders(axes, _area_numbers(plan), "#6b5b52", min(0.8, 0.06 * points), alpha=0.75)
     for robot in range(len(plan.robots)):
@@ -593,7 +596,7 @@ def _how_long(world: World, plan: Plan | None) -> str:
 
 
 def _area_numbers(plan: Plan) -> NDArray[np.int64]:
-    """The area of every cell, int64 `[H, W]`; NO_AREA where there is none."""
+    """The area of every cell, int64 `[H, W]`; NO_AREA if there is none."""
     numbers = np.full(plan.shape[0] * plan.shape[1], NO_AREA, dtype=np.int64)
     for number, area in enumerate(plan.areas):
         numbers[area.cells] = number
@@ -605,6 +608,7 @@ def _draw_path(axes: Axes, plan: Plan, robot: int, points: float) -> None:
     robots = len(plan.robots)
     shift = lane(robot, robots)
     rows, cols = np.divmod(plan.robots[robot].path, plan.shape[1])
+    # The more robots, the closer their lanes and the thinner their lines.
     width = float(np.clip(0.62 * points / max(robots, 3), 0.45, 1.9))
     x, y = cols + shift, rows + shift
     axes.plot(x, y, color=colour, linestyle=dashes, linewidth=width, alpha=0.95, gid=f"robot {robot}", zorder=2)
@@ -613,7 +617,7 @@ def _draw_path(axes: Axes, plan: Plan, robot: int, points: float) -> None:
 
 
 def mark_starts(axes: Axes, starts: NDArray[np.int64], shape: tuple[int, int], points: float) -> None:
-    """Numbered markers at the starts `[K, 2]`; robots that start too close together to be told apart share one."""
+    """Numbered markers at the starts `[K, 2]`; robots that start too close together share one."""
     for label in group_labels(starts, shape, points):
         group, name, (row, col) = label.members, label.name, label.place
         box = {
@@ -641,6 +645,6 @@ def _handles(plan: Plan | None, starts: NDArray[np.int64] | None) -> Iterator[Ar
 
 
 def start_handle(starts: NDArray[np.int64]) -> Line2D:
-    """What `mark_starts` drew, in the legend."""
+    """The legend's entry of the start markers."""
     label = "start" if len(starts) == 1 else "start, by robot"
     return Line2D([], [], color=INK, marker="o", linestyle="", markersize=7, markeredgecolor="white", label=label)

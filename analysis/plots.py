@@ -1,4 +1,4 @@
-"""Pictures, `mrac.plots`: of a world, of a plan on it, and of answers; a notebook shows each as a cell's last line.
+"""Pictures, `mrac.plots`: of a world, of a plan on it, and of results; a notebook shows each as a cell's last line.
 
 Each is a matplotlib figure: `figure.savefig("world.png")` writes it.
 """
@@ -37,9 +37,11 @@ def world_figure(what: World | Evaluation, plan: Plan | None = None) -> Figure:
     """The world by threat level, with a plan's areas and every robot's nominal path.
 
     Args:
-        what: a world, alone or with a `plan` for it; or an evaluation: its world and plan.
+        what: a world, alone or with a `plan` for it; or an evaluation, with its world and plan.
+        plan: a plan for the world.
 
-    Raises InputError for a plan of another map, or one without its world.
+    Raises:
+        InputError: the plan is for another map, or has no world.
     """
     with house_style():
         if isinstance(what, Evaluation) and plan is None:
@@ -57,15 +59,14 @@ def world_figure(what: World | Evaluation, plan: Plan | None = None) -> Figure:
 
 
 def _picture(kind: type[Kind], shows: str, name: str = "", needs: str = "") -> Callable[[Kind], Figure]:
-    """What draws a picture of an answer's report, the first if none is named, in the house's style.
+    """A function that draws a picture of a result's report, the first if none is named, in the style of this package.
 
-    `shows`: its docstring. `needs`: what an answer without the picture lacks. Anything but that kind of answer is an
-    InputError.
+    `shows`: its docstring. `needs`: condition for the picture. A result of another type is an InputError.
     """
 
     def figure(answer: Kind) -> Figure:
         if not isinstance(answer, kind):
-            raise UsageError(argument("answer", answer), expected=f"the answer {kind.__name__}")
+            raise UsageError(argument("answer", answer), expected=f"a result of type {kind.__name__}")
         said = report_of(answer)
         if name and name not in said.pictures:
             raise UsageError(f"the evaluation has no {name}", expected=needs)
@@ -77,7 +78,7 @@ def _picture(kind: type[Kind], shows: str, name: str = "", needs: str = "") -> C
 
 
 covered_figure = _picture(
-    Evaluation, "The chance that each cell is covered, those below one half outlined.", "covered.png"
+    Evaluation, "The probability that each cell is covered; cells below one half are outlined.", "covered.png"
 )
 losses_figure = _picture(Evaluation, "Expected robots lost in each cell, with the worst cells.", "losses.png")
 left_figure = _picture(
@@ -87,14 +88,14 @@ left_figure = _picture(
     "a world with values: `value:` in its scenario, or load(..., value=...)",
 )
 distribution_figure = _picture(
-    Evaluation, "The chance of so much coverage, and rollouts by coverage.", "distribution.png"
+    Evaluation, "The probability of at least each coverage, and the histogram of rollouts.", "distribution.png"
 )
 over_time_figure = _picture(Evaluation, "Expected coverage over time.", "over_time.png")
 front_figure = _picture(Front, "Coverage over robots lost and over steps, by setting.")
-size_figure = _picture(TeamSize, "Coverage and the chance of the target over the team, with the answer.")
+size_figure = _picture(TeamSize, "Coverage and the probability of the target by team size, with the answer.")
 starts_figure = _picture(Starts, "Coverage by depot, or the threats, with the best starts on the map.")
-attack_figure = _picture(Attack, "What a threat in each cell costs robots that know of it; the worst stand out.")
-clear_figure = _picture(Clearing, "What clearing each threat wins after replanning; the picks stand out.")
+attack_figure = _picture(Attack, "The cost of a known threat in each cell; the worst cells are highlighted.")
+clear_figure = _picture(Clearing, "The gain of removing each threat, with replanning; selected ones are highlighted.")
 check_figure = _picture(MapCheck, "Every formula on one scale of expected cells, with the truth of both loops.")
 
 

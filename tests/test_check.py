@@ -232,7 +232,7 @@ def test_what_depends_on_histories_that_were_left_is_undecided() -> None:
     assert {check.verdict for check in of_formula(checked.checks, "ideal_team")} == {Verdict.HOLDS}
     for direction in (LOWER, UPPER, EQUAL):
         assert judge(closed.visited.value, closed.visited, direction, 0.0, 400.0) is Verdict.UNDECIDED
-    assert "undecided: it depends on them" not in " ".join(check_report(checked).parts[0].notes)
+    assert "undecided: these decide" not in " ".join(check_report(checked).parts[0].notes)
 
 
 def test_a_wrong_bound_that_is_marked_as_proven_is_a_fault(
@@ -244,7 +244,7 @@ def test_a_wrong_bound_that_is_marked_as_proven_is_a_fault(
     )
     found = answer(capsys, WORLD, "--robots", "1", "--rollouts", "512", status=1)
     assert found["faults"] == ["ideal_connected/visited/closed", "ideal_connected/visited/open"]
-    assert found["answer"].startswith("FAULT: proven, and fails on this map: ideal on this map")
+    assert found["answer"].startswith("FAULT: proven, but fails on this map: upper bound, this map")
     assert run(["check", "--worlds", "2", "--robots", "1", "--size", "6x6", "--processes", "1"]) == 1
     assert capsys.readouterr().out.startswith("FAULT: ")
 
@@ -284,7 +284,7 @@ def test_what_is_next_to_nothing_is_not_said_to_be_nothing() -> None:
     checked = mrac.check(world, mrac.plan(world, starts=[[0, 0]]))
     said = check_report(checked)
     lines = [*said.findings, *said.heading]
-    assert "a robot is left with chance 1.0e-17" in " ".join(lines) and "0.0000" not in " ".join(lines)
+    assert "a robot survives with chance 1.0e-17" in " ".join(lines) and "0.0000" not in " ".join(lines)
     left = [check for check in checked.checks if check.formula in ("eq1", "eq2_event") and check.loop == "open"]
     assert all(check.truth.value == pytest.approx(1e-17, rel=1e-4) for check in left) and len(left) == 2
 
@@ -633,7 +633,7 @@ def test_the_command_and_its_errors(capsys: pytest.CaptureFixture[str]) -> None:
     assert [entry["scale"] for entry in found["threat_scale"]] == [0.5, 1, 2]
     assert found["threat_scale"][1]["coverage"] == found["coverage"]
     assert run([*words, "2"]) == 0
-    assert "so many times the map's" in capsys.readouterr().out
+    assert "Results with scaled threats" in capsys.readouterr().out
     for wrong in ("", "x", "1,,2", "-1", "nan", "inf"):
         assert run([*words, wrong]) == 2
         assert capsys.readouterr().err.startswith("error: --threat-scale")

@@ -132,9 +132,9 @@ def test_time_ends_a_run_that_is_not_precise_yet(monkeypatch: pytest.MonkeyPatch
     last = seen[-1].tally.rollouts
     assert told[0] >= seen[0].tally.rollouts and told[-1] == last
     (note,) = too_few(seen[-1], choices)
-    assert re.fullmatch(r"7 s came before .* sure to ± [0-9.]+ points, asked for was ± 0.01; .*", note)
+    assert re.fullmatch(r"7 s came before .* coverage is ± [0-9.]+ points, requested: ± 0.01; .*", note)
     answer = evaluate(world, plan, replace(choices, precision=None, rollouts=10**9, seconds=1e-6))
-    assert answer.tally.rollouts < 10**6 and not answer.partial and "were over after" in answer.notes[0]
+    assert answer.tally.rollouts < 10**6 and not answer.partial and "1e-06 s ended after" in answer.notes[0]
 
 
 def test_deadline_is_exact_where_it_is_known(capsys: pytest.CaptureFixture[str]) -> None:
@@ -155,7 +155,7 @@ def test_the_deadline_is_said_after_the_headline(capsys: pytest.CaptureFixture[s
     said = " ".join(capsys.readouterr().out.split())
     visited, lost = 100 * found["visited"]["mean"], found["losses"]["mean"]
     assert f". By step 40: {visited:.1f} % visited, {lost:.1f}" in said
-    assert " of 4 robots lost on average. " in said and "holds with 95 % confidence" in said
+    assert " of 4 robots lost on average. " in said and "a bound with 95 % confidence" in said
     assert run(["evaluate", WORLD, *words[:-1], "20"]) == 0
     assert "95 % confidence" not in capsys.readouterr().out, "the headline says nothing of 95 % of runs then"
 
@@ -171,7 +171,7 @@ def test_a_limit_that_cuts_rollouts_off_is_said(capsys: pytest.CaptureFixture[st
 def test_table_names_both_meanings(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["evaluate", WORLD, "--robots", "8", "--loop", "open", "--rollouts", "4096", "--theory"]) == 0
     out = capsys.readouterr().out
-    for word in ("visited", "survived", "chance to visit every cell", "ideal of the team", "exact"):
+    for word in ("visited", "survived", "chance to visit every cell", "upper bound for the team", "exact"):
         assert word in out
     verdicts = {line.split("C = ")[1].split("  ")[0]: line.split()[-1] for line in out.splitlines() if "C = " in line}
     known = load_fixture("contiguous-14x23-1000-k8").answers
@@ -717,7 +717,7 @@ def test_no_table_cuts_a_figure(
 def check_whole(table: FittedTable, width: int) -> None:
     """Every figure stands on one line as it is, unless its column is said to be left out; no line is too long."""
     said = as_text(lambda console: console.print(table), width)
-    body, _, note = said.partition("left out, as")
+    body, _, note = said.partition("omitted at a width of")
     left_out, words = " ".join(note.split()), set(body.split())
     lines = [" ".join(line.split()) for line in body.splitlines()]
     assert "…" not in said and max(map(len, said.splitlines())) <= width
@@ -886,7 +886,7 @@ def shown(made: FittedTable, width: int) -> str:
 @pytest.mark.parametrize("dropped", [(), ("rollouts", "bound", "from .. to")])
 def test_no_figure_is_cut_or_wrapped_and_what_is_left_out_is_named(width: int, dropped: tuple[str, ...]) -> None:
     said = shown(table(*dropped), width)
-    body, _, note = " ".join(said.split()).partition("left out, as")
+    body, _, note = " ".join(said.split()).partition("omitted at a width of")
     assert "…" not in said and max(map(len, said.splitlines())) <= width
     for name, cell in list(zip(COLUMNS, ROW, strict=True))[1:]:
         assert (cell in said.split()) != (name in note and cell not in body), (name, said)
@@ -895,9 +895,9 @@ def test_no_figure_is_cut_or_wrapped_and_what_is_left_out_is_named(width: int, d
 
 def test_the_least_important_columns_go_first_and_the_last_of_those_of_a_name() -> None:
     wide = shown(table(), 120).splitlines()
-    assert len(wide) == 6 and "left out" not in "".join(wide)
+    assert len(wide) == 6 and "omitted" not in "".join(wide)
     said = shown(table("rollouts", "from .. to", "bound"), 70)
-    gone = "left out, as 70 characters have no room: robots lost from .. to, rollouts; a wider window, --out and --json"
+    gone = "omitted at a width of 70 characters: robots lost from .. to, rollouts; a wider window, --out and --json"
     assert f"{gone} have them" in " ".join(said.split())
     assert ROW[3] in said and ROW[5] not in said and ROW[1] in said
 
@@ -905,4 +905,4 @@ def test_the_least_important_columns_go_first_and_the_last_of_those_of_a_name() 
 def test_without_columns_to_leave_out_they_stand_in_blocks_that_begin_with_the_name() -> None:
     said = shown(table(), 60)
     assert said.count("place") == said.count("the old depot") > 1
-    assert said.count("Places") == 1 and "left out" not in said
+    assert said.count("Places") == 1 and "omitted" not in said

@@ -79,7 +79,7 @@ def test_the_same_on_both_sides_differs_in_nothing() -> None:
         estimate = found.difference(figure).estimate
         assert (estimate.mean, estimate.se) == (0, 0)
         assert estimate.ci95 == (0, 0)
-    assert headline(found) == "A and B are the same in everything: no difference (exact)."
+    assert headline(found) == "A and B are equal: no difference (exact)."
 
 
 def test_rests_of_two_missions_differ_by_what_they_go_on_from(tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def test_the_sentence_says_what_differs(capsys: pytest.CaptureFixture[str], tmp_
     said = " ".join(capsys.readouterr().out.split())
     assert "B (an external plan, open loop) visits" in said
     assert "than A (an MRAC plan, closed loop)" in said
-    assert "note: in A the survivors take over the areas of the lost, in B nobody does" in said
+    assert "note: in A the areas of lost robots are reassigned, in B not" in said
 
     one, other = (f"{row},{col}" for row, col in place_starts(world, 2)[0])
     found = answer(capsys, WORLD, "--starts", one, "--b.starts", other, "--rollouts", "64")
@@ -174,7 +174,7 @@ def test_two_sensors_on_the_same_luck(capsys: pytest.CaptureFixture[str], tmp_pa
         )
         assert found[side]["mean"]["visited"] == pytest.approx(alone, abs=0.02)
     told = team(2)
-    for known, words in ((None, "robots are told the map"), (1, "robots see 1 cell far")):
+    for known, words in ((None, "known map"), (1, "robots see 1 cell far")):
         one = told[0] if known is None else with_prior(told[0], 0.04, sense=known)
         dark = with_prior(told[0], 0.04, sense=2)
         sides = (make_side(w, make_plan(w, told[1].starts), RolloutChoices(rollouts=64)) for w in (one, dark))
@@ -309,7 +309,7 @@ def test_who_comes_home_is_compared_too(capsys: pytest.CaptureFixture[str]) -> N
     both = answer(capsys, *asked, "--b.policy", "per_cell")
     assert both["difference"].keys() == both["a"]["mean"].keys() == {*FIGURES, "home", "all_home"}
     assert run(["compare", WORLD, "--robots", "3", "--b.return-to", "home", "--rollouts", "256"]) == 0
-    assert "note: B's robots come home, " in " ".join(capsys.readouterr().out.split())
+    assert "note: B's robots return to base, " in " ".join(capsys.readouterr().out.split())
     alone = answer(capsys, *asked[:3], "--b.return-to", "home", "--rollouts", "256")
     assert alone["difference"].keys() == alone["a"]["mean"].keys() == set(FIGURES)
     assert "home" in alone["b"]["mean"]

@@ -164,8 +164,8 @@ WRONG = {
         lambda world, plan: mrac.evaluate(world, plan, robots=5),
         "evaluate has no argument 'robots'; expected one of policy, state, loop",
     ),
-    "robots": (lambda world, plan: mrac.evaluate(world, robots=5), "; give plan=5: how many robots to plan for"),
-    "robots of check": (lambda world, plan: mrac.check(world, robots=5), "; give plan=5: how many robots to plan for"),
+    "robots": (lambda world, plan: mrac.evaluate(world, robots=5), "; give plan=5, the number of robots to plan for"),
+    "robots of check": (lambda world, plan: mrac.check(world, robots=5), "; give plan=5, the number of robots to"),
     "of front": (lambda world, plan: mrac.evaluate(world, losses=1), "; it is an argument of front"),
     "of plan": (
         lambda world, plan: mrac.check(world, policy="per_cell"),

@@ -156,7 +156,7 @@ def test_what_is_not_known_is_null_and_said(capsys: pytest.CaptureFixture[str]) 
     print_report(report(answer, theory=True), Console(width=120))
     printed = capsys.readouterr().out
     assert "nan" not in printed
-    assert "presume one known map" in printed
+    assert "assume one known map" in printed
 
 
 @pytest.mark.parametrize("refused", ["check", "size", "starts", "clear", "threat_scale"])
@@ -333,10 +333,10 @@ def test_words_and_page(answer: Evaluation, tmp_path: Path) -> None:
     page = check_page_is_sound(page).text
     for words in (
         "not knowing it costs",
-        "to see is worth",
-        "told the map",
+        "the sensor gains",
+        "known map",
         "robots see 2 cells far",
-        "A better sensor",
+        "Gain by sensor range",
     ):
         assert words in text and words in page
     assert (tmp_path / "believed.png").exists() and (tmp_path / "sense.png").exists()
@@ -431,7 +431,7 @@ def test_others_have_no_such_figure():
     world = SITE.with_latent_hazard("persistent", Q, 0.5, learn=True)
     answer = mrac.evaluate(world, 2, rollouts=10, loop="open", **QUIET_EXPERIENCE)
     assert "experience" not in answer.outputs
-    assert "learning is worth" not in report(answer).headline
+    assert "learning gains" not in report(answer).headline
 
 
 # What is answered where threats move: evaluate, its page and JSON, recordings, and what refuses in words.
@@ -680,7 +680,7 @@ def moves_to(world: World, start: tuple[int, int]) -> np.ndarray:
 def test_what_is_too_far_is_further_than_every_robot_has_moves_for(moves: tuple[int, int]) -> None:
     plan = mrac.plan(WORLD, range=moves)
     rest = rest_of(WORLD, plan)
-    assert rest is not None and rest.step is None and rest.title == "What the range leaves"
+    assert rest is not None and rest.step is None and rest.title == "Cells within range"
     near = [moves_to(WORLD, start) <= most for start, most in zip(((4, 0), (0, 0)), moves, strict=True)]
     accessible = WORLD.accessible(plan.starts)
     np.testing.assert_array_equal(rest.kinds == BEYOND, accessible & ~near[0] & ~near[1])
@@ -710,10 +710,10 @@ def test_of_robots_that_come_home_the_way_home_counts(moves: tuple[int, int], to
     (said,) = rest_words(answer, rest)
     if beyond.any():
         assert f"{beyond.sum()} accessible cells" in said
-        assert said.endswith("too far for any robot to visit and come home.")
+        assert said.endswith("too far for any robot to visit and return.")
     else:
-        assert said == "Every accessible cell is near enough for some robot to visit and come home."
-    assert answer.layers.to_do[0].about.endswith("violet: too far for any robot to visit and come home.")
+        assert said == "Every accessible cell is near enough for some robot to visit and return."
+    assert answer.layers.to_do[0].about.endswith("violet: too far for any robot to visit and return.")
 
 
 def state(folder: Path) -> MissionState:
@@ -730,13 +730,13 @@ def state(folder: Path) -> MissionState:
 def test_a_state_is_told_and_drawn_and_whole_missions_are_as_they_were(tmp_path: Path) -> None:
     answer = mrac.evaluate(WORLD, state=state(tmp_path), **QUIET_REST)  # type: ignore[arg-type]
     rest = rest_of(answer.world, answer.plan)
-    assert rest is not None and rest.title == "Going on from step 7" and (rest.kinds != BEYOND).all()
+    assert rest is not None and rest.title == "Resumed from step 7" and (rest.kinds != BEYOND).all()
     assert np.flatnonzero(rest.kinds == BEFORE).tolist() == [0, 1, 18, 27, 36]
     cells = int(WORLD.accessible(WORLD.starts).sum())
     left = answer.expected.visited_by_cell[(rest.kinds == TO_DO).ravel()].sum()
     (said,) = rest_words(answer, rest)
     assert (
-        said.startswith(f"By step 7, where this goes on, 5 of {cells} accessible cells")
+        said.startswith(f"By step 7, where this plan resumes, 5 of {cells} accessible cells")
         and "1 of 2 robots lost" in said
     )
     assert f"Of the {cells - 5} left {left:,.1f} are visited" in said
@@ -750,7 +750,7 @@ def test_a_state_is_told_and_drawn_and_whole_missions_are_as_they_were(tmp_path:
 def test_a_robot_that_is_lost_reaches_nothing_and_moves_made_are_spent(tmp_path: Path) -> None:
     plan = mrac.plan(WORLD, state=state(tmp_path), range=4)
     rest = rest_of(WORLD, plan)
-    assert rest is not None and rest.title == "Going on from step 7, what the range leaves"
+    assert rest is not None and rest.title == "Resumed from step 7, cells within range"
     near = moves_to(WORLD, (2, 0)) <= 4 - plan.state.robots[0].moves  # type: ignore[union-attr]
     beyond = WORLD.free & WORLD.accessible(plan.starts) & ~near
     beyond.reshape(-1)[[0, 1, 18, 27, 36]] = False

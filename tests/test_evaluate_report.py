@@ -473,7 +473,7 @@ def test_who_always_comes_home_is_said_in_good_words(robots: int) -> None:
     world = World.create(np.zeros((1, 9)))
     plan = mrac.plan(world, robots, return_to="home")
     answer = mrac.evaluate(world, plan, rollouts=64, advice=False, exact="never")
-    assert home_words(answer).startswith(f"On average {'both' if robots == 2 else 'all 3'} robots come home, all")
+    assert home_words(answer).startswith(f"On average {'both' if robots == 2 else 'all 3'} robots return to base, all")
 
 
 def test_the_end_that_a_plan_names_is_that_of_its_rollouts() -> None:
@@ -624,11 +624,11 @@ def test_cells_out_of_reach_are_counted_in_good_words(cut: int, said: str) -> No
 
 
 def test_what_costs_less_than_nothing_is_said_the_other_way_round() -> None:
-    words = ("not knowing it costs", "robots that are not told it visit")
+    words = ("not knowing it costs", "robots that do not know it visit")
     assert more_said(exactly(0.041), *words) == "not knowing it costs 4.10 points (exact)"
-    assert more_said(exactly(-0.0049), *words) == "robots that are not told it visit 0.49 points more (exact)"
-    less = more_said(Estimate(-0.02, 0.005, (-0.03, -0.01)), "to see is worth", "robots that see visit", "less")
-    assert less == "robots that see visit 2 points less ± 1 (95 %)"
+    assert more_said(exactly(-0.0049), *words) == "robots that do not know it visit 0.49 points more (exact)"
+    less = more_said(Estimate(-0.02, 0.005, (-0.03, -0.01)), "the sensor gains", "robots with a sensor visit", "less")
+    assert less == "robots with a sensor visit 2 points less ± 1 (95 %)"
 
 
 # The terminal's answer: what comes first, what is folded away, and that it can be read at 80 columns.

@@ -358,7 +358,7 @@ def test_evaluation_page(answer: Evaluation) -> None:
     assert answer.closed is not None
     known = 100 * answer.closed.visited.value / answer.tally.accessible
     assert f"{known:.2f} %" in reader.text and answer.world.sha256[:16] in reader.text
-    assert "By step 40: " in reader.text and "If every threat is so many times the map's" in reader.text
+    assert "By step 40: " in reader.text and "Results with scaled threats" in reader.text
 
 
 def test_the_answer_losses_chances_and_the_map_stand_before_the_sections(answer: Evaluation) -> None:
@@ -547,9 +547,9 @@ def test_the_front_s_curve_stands_beside_the_map_with_the_plan_marked() -> None:
     answer = mrac.evaluate(mrac.load(threat), 2, rollouts=2048, band=False, progress=False)
     page = evaluation_page(answer, "", {})
     header = page[: page.index("</header>")]
-    assert "What coverage costs" in header and "this plan (mrac)" in header
+    assert "Coverage and losses" in header and "this plan (mrac)" in header
     without = evaluation_page(mrac.evaluate(mrac.load(threat), 2, rollouts=64, band=False, advice=False), "", {})
-    assert "What coverage costs" not in without
+    assert "Coverage and losses" not in without
 
 
 WIDER = "document.documentElement.scrollWidth > innerWidth"

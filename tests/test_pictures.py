@@ -241,8 +241,8 @@ def test_the_distribution_s_marks_stand_at_their_values(closed: Evaluation, eval
     found = {name.rpartition(":")[0]: value for name, value in marks(closed).items()}
     assert found["open loop, exact"] == closed.closed_form.visited
     assert np.isclose(found["mean of rollouts"], closed.visited.cells)
-    assert found["ideal of the team"] == closed.formulas.ideal_team
-    assert found["ideal of one robot, eq. (7)"] == closed.formulas.ideal_eq7
+    assert found["upper bound, team"] == closed.formulas.ideal_team
+    assert found["upper bound, one robot, eq. (7)"] == closed.formulas.ideal_eq7
     lines = made("distribution.png", closed).axes[1].lines
     cells = closed.tally.accessible
     assert np.allclose([line.get_xdata()[0] for line in lines], [100 * value / cells for value in found.values()])
@@ -529,8 +529,8 @@ WRONG: dict[str, tuple[Callable[[mrac.World], object], str]] = {
     "plan alone": (lambda world: mrac.plots.world_figure(mrac.plan(world)), "^" + PLAN_ALONE + "$"),
     "count": (lambda world: mrac.plots.world_figure(world, 3), "plan=3; expected a Plan"),
     "other map": (lambda world: mrac.plots.world_figure(world, mrac.plan(mrac.load([[0, 0.1]]))), "for another map"),
-    "world": (lambda world: mrac.plots.covered_figure(world), "expected the answer Evaluation"),
-    "other answer": (lambda world: mrac.plots.front_figure(mrac.evaluate(world, rollouts=10)), "the answer Front"),
+    "world": (lambda world: mrac.plots.covered_figure(world), "expected a result of type Evaluation"),
+    "other answer": (lambda world: mrac.plots.front_figure(mrac.evaluate(world, rollouts=10)), "result of type Front"),
 }
 
 

@@ -265,7 +265,7 @@ def test_robots_that_wear_and_differ(capsys: pytest.CaptureFixture[str], tmp_pat
         exact, rolled = search("auto"), search("never")
         assert exact.engine == ""
         assert rolled.engine
-        assert any("screened as if it were not for Weibull shape" in note for note in exact.notes)
+        assert any("screened without Weibull shape" in note for note in exact.notes)
         if isinstance(exact.to_json().get("gain"), dict) and "threats" in exact.to_json():
             for one, other in zip(exact.options, rolled.options, strict=True):
                 assert close(one.unknown.cells, other.unknown.cells, 0.02)

@@ -911,7 +911,7 @@ def test_the_answer_is_printed_before_anything_else_is_worked_out(
     assert run([*words, "--out", str(tmp_path)]) == 0
     first, scaled, advised, bound = *shown, capsys.readouterr().out
     assert first.startswith("2 robots visit ") and "Chances in %" in first and "Coverage, %" in first
-    assert scaled.startswith("\nIf every threat") and advised.startswith("\nTo cover ")
+    assert scaled.startswith("\nResults with scaled threats") and advised.startswith("\nTo cover ")
     assert bound.startswith("\nNo strategy visits more than ")
     whole = " ".join((tmp_path / "evaluation.txt").read_text().split())
     rest = " ".join((scaled + advised + bound).split())
@@ -929,7 +929,7 @@ def test_alternatives_that_are_interrupted_leave_the_answer(
     assert run(["evaluate", world_file, "--rollouts", "2048", "--out", str(tmp_path)]) == 130
     shown, (saved, page) = capsys.readouterr().out, ((tmp_path / name) for name in ("evaluation.json", "index.html"))
     assert shown.count("2 robots visit ") == shown.count("Chances in %") == 1
-    assert "Interrupted: this is what was done until then." in shown
+    assert "Interrupted: the rollouts done so far are shown." in shown
     assert json.loads(saved.read_text())["partial"] and page.is_file()
 
 

@@ -1,1 +1,1 @@
-"""The answer of `check INPUT`: which formulas hold on this map?"""
+"""The result of `check INPUT`: the formulas that hold on this map."""

@@ -1,4 +1,4 @@
-"""Every formula on one map, from a world and a plan to checks; and on many random worlds of the paper's kind."""
+"""Checks of all formulas on one map, and on many random worlds of the paper's kind."""
 
 from __future__ import annotations
 
@@ -57,19 +57,19 @@ from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.world import World
 
-# Every formula on one map: from a world and a plan to checks, rolling out the closed loop where it is not known.
+# Checks of all formulas on one map; the closed loop is simulated if it is not known exactly.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MapCheck(Answer):
-    """Every formula on one map.
+    """Checks of all formulas on one map.
 
     Attributes:
-        world, plan: on what. exact: the open loop. closed: the closed loop, or None where there is none to look at.
-        checks: of every robot, formula, meaning and loop. left_out: what could not be checked, and why.
-        doubt: chance that the interval of one sampled figure misses it. seed: of the rollouts.
-        partial: True if the rollouts were interrupted.
-        theory: what the table lists: "main", a row for each formula; "all", every reading and meaning.
+        world, plan: the input. exact: the open loop. closed: the closed loop, or None if it was not computed.
+        checks: for every robot, formula, meaning and loop. left_out: omitted formulas, with reasons.
+        doubt: error probability of the interval of one sampled figure. seed: of the rollouts.
+        partial: whether the rollouts were interrupted.
+        theory: rows of the table: "main", one for each formula; "all", every reading and meaning.
     """
 
     reported_by = "analysis.checking.report:check_report"
@@ -88,23 +88,23 @@ class MapCheck(Answer):
 
     @cached_property
     def cells(self) -> int:
-        """Accessible cells."""
+        """Number of accessible cells."""
         return int(self.world.accessible(self.plan.starts).sum())
 
     @property
     def faults(self) -> list[Check]:
-        """Failures of what is marked as proven."""
+        """Failures of proven formulas."""
         return proven_failures(self.checks)
 
     @property
     def rows(self) -> list[Check]:
-        """One check for each formula, meaning and loop: the worst of the robots'."""
+        """One check for each formula, meaning and loop: that of the worst robot."""
         return worst_of_robots(self.checks)
 
 
 def check_world(world: World) -> None:
-    """Raise WorldError for a world that the formulas are not about."""
-    world.check_settled("what a check holds against each other")
+    """Raise WorldError for a world that the formulas do not apply to."""
+    world.check_settled("a check of the formulas")
 
 
 def check_map(
@@ -118,15 +118,16 @@ def check_map(
     bound: bool | None = None,
     kept: AllPairs | None = None,
 ) -> MapCheck:
-    """Every formula on one map.
+    """Check all formulas on one map.
 
     Args:
-        choices: of the closed loop: which visits are checked, and how long its exact values are looked for.
-        sample: rolls out the closed loop; asked only where it is not known exactly. None: not to be had.
-        alone: the plan of the first robot by itself, where the caller has it.
-        figures: sampled figures whose intervals are to hold together with 95 % confidence, these three among them.
-        bound: whether the bound for every strategy is worked out, as `flow` of `any_strategy`.
-        kept: where all-pairs tables are kept.
+        world, plan: the input.
+        choices: of the closed loop: checked visits, and the time for its exact values.
+        sample: simulates the closed loop, and is called only if it is not known exactly; returns None without rollouts.
+        alone: the plan of the first robot alone, if available.
+        figures: number of sampled figures with simultaneous 95 % intervals, including the three of this map.
+        bound: whether the bound for every strategy is computed, as `flow` of `any_strategy`.
+        kept: cache of all-pairs tables.
     """
     check_world(world)
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
@@ -147,7 +148,7 @@ def check_map(
     if closed is not None:
         checks += closed_checks(plan, world, bounds, own, closed, choices.first_only)
     no_bound = (
-        f"the bound for every strategy is left out: {argument('bound')} works it out, "
+        f"the bound for every strategy is omitted: {argument('bound')} computes it, "
         "which may take a minute on a large map"
     )
     left_out = (*_left_out(plan, checks, closed), *(() if limit.flow is not None else (no_bound,)))
@@ -155,15 +156,15 @@ def check_map(
 
 
 def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None) -> tuple[str, ...]:
-    """What is missing, in words."""
+    """Notes on the omitted formulas."""
     if plan.is_foreign:
-        return (f"the {plan.origin} has no areas: eq. (5), the theorems and the closed loop are left out",)
+        return (f"the {plan.origin} has no areas: eq. (5), the theorems and the closed loop are omitted",)
     made, out = {check.formula for check in checks}, []
     robots = {check.robot for check in of_formula(checks, "eq5_printed")}
     ranged = plan.settings is not None and plan.settings.range is not None
     if ranged or plan.comes_home:
-        whom = "robots with a range" if ranged else "robots that come home, nor are Theorems 3 and 4"
-        out.append(f"eq. (5) is left out: it is not about {whom}")
+        kind = "robots with a range" if ranged else "robots that return to base, nor do Theorems 3 and 4"
+        out.append(f"eq. (5) is omitted: it does not apply to {kind}")
     elif plan.shares:
         out.append("eq. (5) is undefined here: areas are shared in the run without losses")
     elif len(robots) < len(plan.robots):
@@ -171,14 +172,14 @@ def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None) -> tu
         out.append(f"eq. (5) is undefined for {without} of {len(plan.robots)} robots: a dangerous start, or no area")
     with_worth = plan.settings is not None and plan.settings.robot_value is not None
     if with_worth or ranged:
-        why = "the rest may not be worth the risk (worth)" if with_worth else "robots have a range"
-        out.append(f"Theorems 1, 2 and 4 are left out: they are not about runs in which {why}")
+        why = "the rest may not be worth the risk (robot value)" if with_worth else "robots have a range"
+        out.append(f"Theorems 1, 2 and 4 are omitted: they do not apply to runs in which {why}")
     elif "theorem4_most" not in made and not plan.comes_home:
-        out.append("Theorem 4 is left out: one robot alone cannot cover these cells, or the run was cut off")
+        out.append("Theorem 4 is omitted: one robot alone cannot cover these cells, or the run was cut off")
     if closed is None:
-        out.append("the closed loop is left out: nothing was rolled out")
+        out.append("the closed loop is omitted: there are no rollouts")
     elif closed.as_stated is None and not (with_worth or ranged):
-        out.append("Theorem 2 is left out: max_steps may cut runs off")
+        out.append("Theorem 2 is omitted: max_steps may cut runs off")
     return tuple(out)
 
 
@@ -190,16 +191,23 @@ def check_input(
     bound: bool | None = None,
     theory: Literal["main", "all"] = "main",
 ) -> MapCheck:
-    """Every formula on one map; the closed loop by `choices`, where it is not known exactly; `bound` as of `check_map`.
+    """Check all formulas on one map; the closed loop by `choices`, if it is not known exactly.
 
-    An interruption (KeyboardInterrupt) of the rollouts leaves what was done, `partial`. Raises InputError.
+    An interruption (KeyboardInterrupt) keeps the rollouts done so far, `partial`.
+
+    Args:
+        world, plan, choices: the input. progress: receives the number of rollouts. theory: as in `MapCheck`.
+        bound: as in `check_map`.
+
+    Raises:
+        InputError: the formulas do not apply to this input.
     """
-    plan.bearing.check_known("what a check holds against each other")
+    plan.bearing.check_known("a check of the formulas")
     if plan.settings is not None:
-        plan.settings.check_alike("what a check holds against each other")
+        plan.settings.check_alike("a check of the formulas")
     if plan.state is not None:
         raise UsageError(
-            "the plan is the rest of a mission; the formulas are about whole ones", fix="check one from a start"
+            "the plan resumes a mission; the formulas apply to whole missions", fix="check one from a start"
         )
     partial, kept = False, AllPairs()
 
@@ -223,7 +231,7 @@ def check_input(
 
 
 def check_json(checked: MapCheck) -> Json:
-    """The JSON object of `check INPUT`, but for its sentence. Values are in the unit that a check names."""
+    """The JSON object of `check INPUT`, without its sentence. Values are in the unit of their check."""
     world, plan, exact, closed = checked.world, checked.plan, checked.exact, checked.closed
     return {
         "robots": len(plan.robots),
@@ -249,12 +257,12 @@ def check_json(checked: MapCheck) -> Json:
 
 
 def truth_json(truth: Truth) -> Json:
-    """A truth with its interval."""
+    """A truth with its interval, as JSON."""
     return {"value": truth.value, "interval": [truth.low, truth.high], "how": truth.how}
 
 
 def check_head(check: Check) -> Json:
-    """What a check is about, as JSON."""
+    """The definition of a check, as JSON."""
     about = check.about
     return {
         "key": check.key,
@@ -270,7 +278,7 @@ def check_head(check: Check) -> Json:
 
 
 def check_row(check: Check) -> Json:
-    """One check as JSON."""
+    """A check as JSON."""
     return check_head(check) | {
         "robot": check.robot,
         "value": check.value,
@@ -280,29 +288,29 @@ def check_row(check: Check) -> Json:
     }
 
 
-# Formulas on many random worlds of the paper's kind: how often each fails, by how much, and where it is worst.
+# Formulas on many random worlds of the paper's kind: rate of failure, size of the error, and the worst world.
 #
-# World number i of a survey with seed S is `random_world` with seed S + i, whatever else is looked at; its rollouts
-# take the same seed (worlds and rollouts share no stream). So a survey is a pure function of its choices: neither the
-# number of processes nor an interruption changes a world that was looked at.
+# World number i of a survey with seed S is `random_world` with seed S + i; its rollouts have the same seed (worlds and
+# rollouts share no stream). So a survey is a pure function of its choices: neither the number of processes nor an
+# interruption changes a world.
 #
-# Many comparisons: a formula held against an exact truth fails or does not. A sampled truth (closed loop, two robots
-# or more) comes with an interval that misses it with chance at most 0.05 / (3 figures x worlds x sizes of team), the
-# share of Bonferroni: empirical Bernstein for the means, Clopper & Pearson for the chance. A failure counts only
-# beyond it, so with 95 % confidence not one of all counted failures of the survey is an accident of sampling.
+# Multiple comparisons: against an exact truth a formula fails or does not. A sampled truth (closed loop, two robots or
+# more) has an interval with error probability at most 0.05 / (3 figures x worlds x sizes of team), by Bonferroni:
+# empirical Bernstein for the means, Clopper & Pearson for the probability. A failure counts only outside the interval,
+# so that with 95 % confidence none of the counted failures of the survey is a sampling error.
 
 MOST_WORLDS = 1_000_000
 EXACT: Exactness = 0.1
-"""Seconds that an exact closed loop is worth for each world and team (`RolloutChoices.exact`)."""
+"""Seconds for the exact closed loop of each world and team (`RolloutChoices.exact`)."""
 
 
 @dataclass(frozen=True)
 class SurveyChoices:
-    """What is surveyed.
+    """Settings of a survey.
 
     Attributes:
-        worlds: how many. kind, height, width: of each. teams: sizes of team, increasing. settings: of the planner.
-        bound: whether the bound for every strategy is worked out too.
+        worlds: number of worlds. kind, height, width: of each world. teams: sizes of team, increasing.
+        settings: of the planner. bound: whether the bound for every strategy is computed.
     """
 
     worlds: int
@@ -315,13 +323,13 @@ class SurveyChoices:
 
     @property
     def figures(self) -> int:
-        """Sampled figures whose intervals hold together: those of every world and team of two robots or more."""
+        """Sampled figures with simultaneous intervals: those of every world and team of two robots or more."""
         return FIGURES * self.worlds * max(1, sum(robots > 1 for robots in self.teams))
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One world with one team: `checks` hold the worst robot's for each formula, meaning and loop."""
+    """One world with one team; `checks`: that of the worst robot for each formula, meaning and loop."""
 
     seed: int
     robots: int
@@ -331,11 +339,11 @@ class Entry:
 
 @dataclass(frozen=True)
 class Row:
-    """One formula in one meaning and loop for one size of team, over all worlds where it is defined.
+    """One formula in one meaning and loop for one size of team, over all worlds on which it is defined.
 
     Attributes:
-        check: the worst one; its margin is the smallest. seed: of its world.
-        robots: size of team. worlds: where the formula is defined. verdicts: how many worlds have each.
+        check: the worst one, with the smallest margin. seed: of its world.
+        robots: size of team. worlds: number of worlds. verdicts: number of worlds with each verdict.
         tightness: median of value / truth. fails: fraction of the worlds on which it fails, with its interval.
     """
 
@@ -350,7 +358,7 @@ class Row:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Survey(Answer):
-    """A survey's answer; `entries` in order of (seed, robots). partial: interrupted."""
+    """The result of a survey; `entries` are sorted by (seed, robots). partial: whether it was interrupted."""
 
     reported_by = "analysis.checking.report:survey_report"
 
@@ -362,12 +370,12 @@ class Survey(Answer):
 
     @property
     def faults(self) -> list[tuple[int, int, Check]]:
-        """(seed, robots, check) of every failure of what is marked as proven."""
+        """(seed, robots, check) of every failure of a proven formula."""
         return [(e.seed, e.robots, check) for e in self.entries for check in proven_failures(e.checks)]
 
     @property
     def worlds(self) -> int:
-        """Worlds looked at."""
+        """Number of worlds."""
         return len({entry.seed for entry in self.entries})
 
     @property
@@ -378,12 +386,12 @@ class Survey(Answer):
 
     @cached_property
     def rows(self) -> list[Row]:
-        """Every formula, meaning and loop by size of team."""
+        """All formulas, meanings and loops by size of team."""
         return [make_row(robots, found) for _, robots, found in self.grouped()]
 
     @cached_property
     def failing(self) -> dict[str, Row]:
-        """Of each of the paper's formulas that fails somewhere the row in which it fails most often."""
+        """For each of the paper's formulas that fails on some world, the row with the highest rate of failure."""
         fails = [row for row in self.rows if row.verdicts[Verdict.FAILS] and row.check.about.paper]
         formulas = [key for key in FORMULAS if any(row.check.formula == key for row in fails)]
         return {
@@ -406,7 +414,7 @@ class Survey(Answer):
                     yield key, robots, groups[key, robots]
 
     def worst_failures(self) -> dict[str, Row]:
-        """For each key that fails somewhere, the row of the team with its worst failure."""
+        """For each key that fails on some world, the row of the team with its worst failure."""
         worst: dict[str, Row] = {}
         for row in self.rows:
             if row.check.verdict is Verdict.FAILS:
@@ -433,7 +441,7 @@ def make_survey(
     given: Choices,
     bound: bool = False,
 ) -> SurveyChoices:
-    """The choices, checked on a first world. Raises InputError."""
+    """The settings, checked on a first world. Raises InputError."""
     whole(1, MOST_WORLDS).check("worlds", worlds)
     height, width = map_size(size or "20x20")
     settings = Settings(**given.given())
@@ -454,8 +462,9 @@ def survey_starts(world: World, robots: int) -> NDArray[np.int64]:
 
 
 def look_at(choices: SurveyChoices, rollouts: RolloutChoices, seed: int) -> list[Entry]:
-    """One world with every team. The closed loop runs on one thread: there are processes enough."""
+    """Check one world with every team. The closed loop uses one thread, because worlds run in parallel processes."""
     world = survey_world(choices, seed)
+    # Theorem 4 compares every team with the plan of a single robot.
     alone = plan_team(world, survey_starts(world, 1), choices.settings)
     entries, kept = [], AllPairs()
     for robots in choices.teams:
@@ -487,10 +496,10 @@ def run_survey(
     processes: int | None = None,
     progress: ProgressCallback | None = None,
 ) -> Survey:
-    """The survey; `processes` (None: one a core) changes nothing but the time.
+    """Run a survey. The number of `processes` (None: one a core) does not change the result.
 
-    An interruption (KeyboardInterrupt) ends it with the worlds that are done, `partial`; if there is none, it is raised
-    again. Raises InputError.
+    An interruption (KeyboardInterrupt) ends it with the worlds done so far, `partial`; without any it is raised again.
+    Raises InputError.
     """
     count = min(wanted_processes(processes, choices.worlds), choices.worlds)
     if rollouts.seed + choices.worlds > 2**64:
@@ -508,6 +517,7 @@ def run_survey(
         if not entries:
             raise
         interrupted = True
+    # Worlds finish in any order; the result must not depend on it.
     entries.sort(key=lambda entry: (entry.seed, entry.robots))
     return Survey(choices, rollouts, tuple(entries), time.perf_counter() - clock, interrupted)
 
@@ -516,7 +526,7 @@ def run_survey(
 def _looked_at(
     choices: SurveyChoices, rollouts: RolloutChoices, seeds: range, count: int
 ) -> Iterator[Iterator[list[Entry]]]:
-    """The entries of world after world, in any order, from `count` processes; 1: from this one."""
+    """The entries of each world, in any order, from `count` processes; 1: from this process."""
     task = partial(look_at, choices, rollouts)
     if count == 1:
         yield map(task, seeds)
@@ -525,20 +535,20 @@ def _looked_at(
         yield (found for _, found in pool.run(seeds))
 
 
-# The charts of a survey's page: how often formulas fail, and coverage with what bounds it.
+# The charts of a survey's page: rates of failure, and coverage with its bounds.
 
 DRAWN = {
-    "eq7_team/visited/closed": "ideal of one robot, eq. (7)",
-    "ideal_connected/visited/closed": "our ideal on this map",
+    "eq7_team/visited/closed": "upper bound, one robot, eq. (7)",
+    "ideal_connected/visited/closed": "ours: upper bound, this map",
     "theorem3_interior_set/visited/open": "Theorem 3, C interior, set",
     "mended_largest/visited/open": "ours: chances",
     "until_first_loss/visited/closed": "ours: until the first loss",
 }
-"""What is drawn beside the coverage, by key of the check: as many as there are colours."""
+"""Bounds that are drawn with the coverage, by key of the check; as many as there are colours."""
 
 
 def failing(survey: Survey) -> Chart:
-    """The share of worlds on which each of the paper's formulas fails, where it fails most: a curve for each."""
+    """The share of worlds on which each of the paper's formulas fails, in its worst meaning and loop: a curve each."""
     series = []
     for most in survey.failing.values():
         rows = [row for row in survey.rows if row.check.key == most.check.key]
@@ -556,7 +566,7 @@ def failing(survey: Survey) -> Chart:
 
 
 def coverage(survey: Survey) -> Chart:
-    """Coverage, ideals and bounds, means over the worlds, with 95 % intervals of these means."""
+    """Coverage and its bounds, means over the worlds, with 95 % intervals of these means."""
     names = {f"ideal_team/visited/{loop}": f"coverage, {loop} loop" for loop in ("open", "closed")} | DRAWN
     cells = {(entry.seed, entry.robots): entry.cells for entry in survey.entries}
     means: dict[str, dict[int, Estimate]] = {}
@@ -569,7 +579,7 @@ def coverage(survey: Survey) -> Chart:
         if key in means
     ]
     return Chart(
-        title="Coverage, what bounds it, and what claims to",
+        title="Coverage, and formulas for its bounds",
         series=tuple(series),
         x_name="robots",
         y_name="mean over the worlds, % of the accessible cells",

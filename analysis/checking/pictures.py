@@ -1,4 +1,4 @@
-"""The picture of `mrac-jax check`: every formula on a number line."""
+"""The pictures of `mrac-jax check`: all formulas on a number line; of a survey, bounds against the truth."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ OPEN_LOOP, CLOSED_LOOP = "#20242b", "#2c7a5b"
 
 
 def check_figure(checked: MapCheck) -> Figure:
-    """Every formula in cells as a mark on one scale, a row each, with the truths as lines."""
+    """All formulas in cells as marks on one scale, a row each, with the truths as lines."""
     checks = [c for c in checked.rows if c.about.unit == "cells" and c.meaning == "visited" and c.robot is None]
     rows: dict[str, list[Check]] = {}
     for check in checks:
@@ -44,7 +44,7 @@ def check_figure(checked: MapCheck) -> Figure:
     titles = [FORMULAS[formula].title + ("" if FORMULAS[formula].paper else " *") for formula in rows]
     axes.yaxis.set_major_locator(FixedLocator(range(len(rows))))
     axes.set_yticklabels(titles[::-1])
-    axes.set_xlabel("expected cells visited (grey: what no team can cover)", loc="right", labelpad=2)
+    axes.set_xlabel("expected cells visited (grey: impossible)", loc="right", labelpad=2)
     plain(axes)
     marks = [
         Line2D([], [], color=colour, marker="o", linestyle="", markersize=5, label=str(verdict))
@@ -60,7 +60,7 @@ def check_figure(checked: MapCheck) -> Figure:
 
 
 def _draw_formula(axes: Axes, place: int, checks: list[Check], left: float, right: float) -> None:
-    """A mark at the value, above for the open loop and below for the closed one; an arrow if it is off the scale."""
+    """A mark at the value, above for the open loop and below for the closed loop; an arrow if it is off the scale."""
     for check in checks:
         up = 0.0 if len(checks) == 1 else 0.17 if check.loop == "open" else -0.17
         colour = VERDICT_COLOURS[check.verdict]
@@ -111,11 +111,11 @@ PANELS = (
     "eq7_team/visited/closed",
     "ideal_connected/visited/closed",
 )
-"""What is drawn as bound against truth, by key."""
+"""Keys of the panels, bound against truth."""
 
 
 def scatter_figure(survey: Survey) -> Figure:
-    """One panel a formula, one point a world and team, in the formula's unit; where it fails the ground is red."""
+    """A panel for each formula, a point for each world and team, in the formula's unit; failures lie on red ground."""
     columns, side, gap = 3, 2.05, 0.5
     rows = -(-len(PANELS) // columns)
     figure = new_figure((WIDTH, 1.35 + rows * (side + gap + 0.2)))
@@ -149,7 +149,7 @@ def _points(survey: Survey) -> dict[str, dict[int, NDArray[np.float64]]]:
 
 def _draw_scatter(axes: Axes, key: str, teams: dict[int, NDArray[np.float64]], sizes: tuple[int, ...]) -> None:
     about = FORMULAS[key.split("/")[0]]
-    loop, meaning = key.split("/")[-1], key.split("/")[1] if key.count("/") == 2 else "a robot is left"
+    loop, meaning = key.split("/")[-1], key.split("/")[1] if key.count("/") == 2 else "a robot survives"
     title = about.title + ("" if about.paper else " *")
     axes.set_title(title, loc="left", fontsize=8.5, fontweight="bold", color=INK, pad=14)
     axes.annotate(f"{about.direction}; {meaning}, {loop} loop", (0, 1), (0, 4), "axes fraction", "offset points",
@@ -187,5 +187,5 @@ def _team_colour(place: int) -> str:
 
 
 def whole_or_fraction(unit: str) -> Locator:
-    """Ticks at whole numbers, or at fifths of a chance."""
+    """Ticks at whole numbers, or at fifths of a probability."""
     return FixedLocator(np.linspace(0, 1, 6).tolist()) if unit == "chance" else whole_ticks(5)

@@ -1,4 +1,4 @@
-"""What `mrac-jax check INPUT` says: which formulas hold on this map, by how much, against what."""
+"""The reports of `mrac-jax check`: the formulas that hold on this map, or on many worlds, with values and truths."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ SAYS = {
 
 
 def check_report(checked: MapCheck) -> Report:
-    """Which formulas hold, one by one; what they speak about cell by cell; on one scale in the picture."""
+    """The report of one map: all formulas in a table, their subject cell by cell, one scale in the picture."""
     said = check_headline(checked)
     return Report(
         "check", "check", asked(checked.world, len(checked.plan.robots), "which formulas hold?"), said,
@@ -52,7 +52,7 @@ def check_report(checked: MapCheck) -> Report:
         parts=(
             Part("Every formula", [_check_table(checked)], _check_footnotes(checked)),
             Part("Cell by cell", drawn=lambda: [_maps(checked)],
-                 lead="The open loop, exact: what the formulas speak about."),
+                 lead="The open loop, exact: the subject of the formulas."),
         ),
         warnings=_warnings(checked), settings=_settings(checked), pictures={"check.png": lambda: _picture(checked)},
         faults=checked.faults,
@@ -60,25 +60,25 @@ def check_report(checked: MapCheck) -> Report:
 
 
 def check_headline(checked: MapCheck) -> str:
-    """The answer in one sentence: which of the paper's formulas fail, and whether anything proven does."""
-    judged = {key: overall(check for check in checked.checks if check.formula == key) for key in FORMULAS}
-    paper = [key for key, verdict in judged.items() if verdict is not None and FORMULAS[key].paper]
-    failing = [key for key in paper if judged[key] is Verdict.FAILS]
+    """The summary: the paper's formulas that fail, and whether a proven one fails."""
+    found = {key: overall(check for check in checked.checks if check.formula == key) for key in FORMULAS}
+    paper = [key for key, verdict in found.items() if verdict is not None and FORMULAS[key].paper]
+    failing = [key for key in paper if found[key] is Verdict.FAILS]
     fail = "fails" if len(failing) == 1 else "fail"
-    said = f"{len(failing)} of the paper's {len(paper)} formulas, every reading counted, {fail} on this map"
+    said = f"{len(failing)} of the paper's {len(paper)} formulas, counting all readings, {fail} on this map"
     if failing:
         said += f": {'; '.join(FORMULAS[key].title for key in failing)}"
-    empty = [key for key in paper if judged[key] is Verdict.VACUOUS]
+    empty = [key for key in paper if found[key] is Verdict.VACUOUS]
     if empty:
         said += f". {len(empty)} say nothing" if len(empty) > 1 else ". 1 says nothing"
-    unsure = sum(judged[key] is Verdict.UNDECIDED for key in paper)
+    unsure = sum(found[key] is Verdict.UNDECIDED for key in paper)
     if unsure:
         said += f". {unsure} undecided"
     if checked.faults:
         names = sorted({check.about.title for check in checked.faults})
-        return f"FAULT: proven, and fails on this map: {'; '.join(names)}. {said}."
-    ours = [key for key, verdict in judged.items() if verdict is not None and not FORMULAS[key].paper]
-    return f"{said}. Of our {len(ours)} bounds none fails."
+        return f"FAULT: proven, but fails on this map: {'; '.join(names)}. {said}."
+    ours = [key for key, verdict in found.items() if verdict is not None and not FORMULAS[key].paper]
+    return f"{said}. Of our {len(ours)} bounds, none fails."
 
 
 def _check_heading(checked: MapCheck) -> list[str]:
@@ -86,7 +86,7 @@ def _check_heading(checked: MapCheck) -> list[str]:
     lines = [
         f"{map_words(world, checked.cells, len(plan.robots))}, {counted(plan.shares, 'area')} shared in the run "
         "without losses",
-        f"open loop, exact: {exact.visited:.2f} cells visited, {exact.survived:.2f} survived, a robot is left with "
+        f"open loop, exact: {exact.visited:.2f} cells visited, {exact.survived:.2f} survived, a robot survives with "
         f"chance {figure(exact.some_left, 'chance')}",
     ]
     closed = checked.closed
@@ -94,13 +94,13 @@ def _check_heading(checked: MapCheck) -> list[str]:
         how = "exact" if not closed.rollouts else f"{counted(closed.rollouts, 'rollout')}, seed {checked.seed}"
         rolled = (f"{shown(closed.visited, 'cells')} cells visited", f"{shown(closed.survived, 'cells')} survived")
         lines.append(
-            f"closed loop, {how}: {', '.join(rolled)}, a robot is left with chance {shown(closed.some_left, 'chance')}"
+            f"closed loop, {how}: {', '.join(rolled)}, a robot survives with chance {shown(closed.some_left, 'chance')}"
         )
     return lines
 
 
 def figure(value: float, unit: str) -> str:
-    """A value in its unit; what is not 0, or not 1, is never rounded to it: "1.0e-17", "> 0.9999"."""
+    """A value in its unit; a value near 0 or 1 is not rounded to it: "1.0e-17", "> 0.9999"."""
     said = f"{value:.{DIGITS[unit]}f}"
     if value and float(said) == 0:
         return f"{value:.1e}"
@@ -108,7 +108,7 @@ def figure(value: float, unit: str) -> str:
 
 
 def shown(truth: Truth, unit: str) -> str:
-    """A truth, with its interval where the unit's digits show one."""
+    """A truth, with its interval if the unit's digits show one."""
     value, low, high = (figure(one, unit) for one in (truth.value, truth.low, truth.high))
     return value if low == high else f"{value} ({low} to {high})"
 
@@ -116,7 +116,7 @@ def shown(truth: Truth, unit: str) -> str:
 def _check_rows(checked: MapCheck) -> list[list[Check]]:
     """The checks of each row of the table, of both loops.
 
-    Of the readings and meanings of one statement, the one that holds least, unless all are asked for.
+    By default one reading and meaning of each statement, the one that holds least.
     """
     rows: dict[tuple[str, ...], list[Check]] = {}
     for check in checked.rows:
@@ -130,8 +130,8 @@ def _check_rows(checked: MapCheck) -> list[list[Check]]:
 
 
 def _check_table(checked: MapCheck) -> Table:
-    """A row for each statement, or each formula and meaning; what each loop says of it side by side."""
-    words, numbers = ("what", "source", "says", "of"), ("value", "open loop", "closed loop")
+    """A row for each statement, or each formula and meaning, with the verdicts of both loops."""
+    words, numbers = ("statement", "source", "says", "of"), ("value", "open loop", "closed loop")
     look: dict[str, Any] = {"padding": (0, 1), "pad_edge": False, "collapse_padding": True}
     table = make_table((*words, *numbers), "Formulas against the truth", left=words, **look)
     for checks in _check_rows(checked):
@@ -149,37 +149,37 @@ def _says(check: Check) -> str:
 
 
 def _of(check: Check) -> str:
-    """What it is about."""
+    """The subject of the check."""
     if check.robot is not None:
         return f"{check.meaning or 'alive'}, R{check.robot}"
     if check.formula == "theorem2":
         return "runs"
-    return check.meaning or {"chance": "a robot left", "steps": "steps"}.get(check.about.unit, "cells")
+    return check.meaning or {"chance": "survival", "steps": "steps"}.get(check.about.unit, "cells")
 
 
 def _word(check: Check) -> str:
-    """The verdict; failures stand out."""
+    """The verdict; failures in capitals."""
     return f"{str(check.verdict).upper() if check.verdict is Verdict.FAILS else check.verdict:9}"
 
 
 def _check_footnotes(checked: MapCheck) -> list[str]:
     lines = [
-        "ours: proven. >=: the truth is at least the value; vacuous: the formula says nothing that is not plain "
-        "without it. R0, R1, ...: one robot, the one for which it holds least. Bounds in cells are on the average: a "
+        "ours: proven. >=: the truth is at least the value; vacuous: the formula says no more than the trivial limits. "
+        "R0, R1, ...: one robot, the one for which it holds least. Bounds in cells are on the average: a "
         "single run may cover more than a bound."
     ]
     if (hidden := len({(c.formula, c.meaning) for c in checked.rows}) - len(_check_rows(checked))) > 0:
         lines.append(
-            f"Of a formula with several readings or meanings, the one that holds least; {hidden} more "
+            f"For a formula with several readings or meanings, the one that holds least is shown; {hidden} more "
             f"with {argument('theory', 'all')}."
         )
     if checked.closed is not None and checked.closed.rollouts:
         lines.append(
-            f"The closed loop's intervals hold together with {100 * (1 - ALPHA):g} % confidence; undecided: the value "
-            f"is in one; more {argument('rollouts')} may tell."
+            f"The closed loop's intervals hold simultaneously with {100 * (1 - ALPHA):g} % confidence; undecided: the "
+            f"interval contains the value; more {argument('rollouts')} may decide."
         )
     elif any(check.verdict is Verdict.UNDECIDED for check in checked.rows):
-        lines.append("The closed loop is exact but for the least likely histories; undecided: it depends on them.")
+        lines.append("The closed loop is exact except for the least likely histories; undecided: these decide.")
     return lines
 
 
@@ -197,9 +197,9 @@ def _check_key_figures(checked: MapCheck) -> tuple[KeyFigure, ...]:
 
 
 def _warnings(checked: MapCheck) -> tuple[str, ...]:
-    cut = ("Interrupted: the closed loop's figures are of the rollouts that were done.",) if checked.partial else ()
+    cut = ("Interrupted: the closed loop's figures are from the rollouts done so far.",) if checked.partial else ()
     if checked.faults:
-        return (*cut, "A formula that is marked as proven fails: a fault of a proof or of this program.")
+        return (*cut, "A proven formula fails: an error of the proof or of this program.")
     return cut
 
 
@@ -231,11 +231,11 @@ def _settings(checked: MapCheck) -> dict[str, object]:
     plan, closed = checked.plan, checked.closed
     out: dict[str, object] = {"seed": f"{checked.seed}"}
     if closed is not None and closed.rollouts:
-        out["chance that one interval misses"] = f"{checked.doubt:.3g}"
+        out["error probability of one interval"] = f"{checked.doubt:.3g}"
     return out | ({} if plan.settings is None else plan.settings.shown(checked.world.pace))
 
 
-# What `mrac-jax check --worlds N` says: which formulas fail on random worlds, how often, over the size of the team.
+# The report of `mrac-jax check --worlds N`: formulas that fail on random worlds, and how often, by size of team.
 
 COLUMNS = (
     "seed", "robots", "formula", "meaning", "loop", "robot", "value", "truth", "low", "high", "verdict", "margin",
@@ -243,20 +243,20 @@ COLUMNS = (
 
 
 def survey_report(survey: Survey) -> Report:
-    """How often each formula fails; coverage and what bounds it over the size of the team; every comparison as CSV."""
+    """The report of a survey: rates of failure; coverage and its bounds by size of team; all comparisons as CSV."""
     said = survey_headline(survey)
     return Report(
         "survey", "check --worlds", f"{survey.said}: which formulas hold?", said,
         lambda: _json(survey, said),
         findings=_survey_findings(survey), figures=_survey_key_figures(survey), heading=_survey_heading(survey),
         parts=(
-            Part("Over the size of the team", drawn=lambda: _charts(survey)),
+            Part("By size of the team", drawn=lambda: _charts(survey)),
             Part("Every formula", [_survey_table(survey, *one) for one in TABLES.items()], _survey_footnotes(survey),
             unfolded=True),
         ),
         warnings=(f"Interrupted after {counted(survey.worlds, 'world')}.",) if survey.partial else (),
         settings=survey.choices.settings.shown(), took=[f"{survey.seconds:.0f} s"],
-        again="World number i has the seed of the first plus i: the number of processes changes nothing.",
+        again="World number i has the seed of the first plus i. The number of processes does not change the result.",
         pictures={"bound_against_truth.png": partial(_scatter, survey), "over_robots.png": partial(_charts, survey)},
         files={"survey.csv": lambda: _csv(survey), **_worst(survey)},
         faults=survey.faults,
@@ -264,11 +264,11 @@ def survey_report(survey: Survey) -> Report:
 
 
 def survey_headline(survey: Survey) -> str:
-    """The answer in one sentence: which of the paper's formulas fail somewhere, and whether anything proven does."""
+    """The summary: the paper's formulas that fail on some world, and whether a proven one fails."""
     paper = {row.check.formula for row in survey.rows if row.check.about.paper}
     worlds = counted(survey.worlds, f"{survey.choices.kind} world")
     said = (
-        f"{len(survey.failing)} of the paper's {len(paper)} formulas, every reading counted, fail on some of {worlds}"
+        f"{len(survey.failing)} of the paper's {len(paper)} formulas, counting all readings, fail on some of {worlds}"
     )
     parts = [
         f"{FORMULAS[key].title} on up to {percent(row.fails.mean)} (k = {row.robots})"
@@ -277,11 +277,11 @@ def survey_headline(survey: Survey) -> str:
     said += f": {'; '.join(parts)}" if parts else ""
     if survey.faults:
         seed, robots, check = survey.faults[0]
-        more = f", {len(survey.faults)} failures in all" if len(survey.faults) > 1 else ""
+        more = f", {len(survey.faults)} failures in total" if len(survey.faults) > 1 else ""
         return (
-            f"FAULT: {check.about.title} is proven, and fails on the world of seed {seed} (k = {robots}){more}. {said}."
+            f"FAULT: {check.about.title} is proven, but fails on the world of seed {seed} (k = {robots}){more}. {said}."
         )
-    return f"{said}. Of our bounds none fails."
+    return f"{said}. None of our bounds fails."
 
 
 def _survey_heading(survey: Survey) -> list[str]:
@@ -317,7 +317,7 @@ def _survey_rows(survey: Survey, cell: Callable[[Row], str]) -> Iterator[tuple[s
 
 
 def _shares(row: Row) -> str:
-    """ "79.2/4.2"; "-" where neither happens, "?" after it where a world is undecided."""
+    """ "79.2/4.2"; "-" if both are 0, with "?" if a world is undecided."""
     counts = [row.verdicts[verdict] for verdict in (Verdict.FAILS, Verdict.VACUOUS)]
     shown = "/".join(in_percent(Fraction(count, row.worlds)) for count in counts) if any(counts) else "-"
     return shown + ("?" if row.verdicts[Verdict.UNDECIDED] else "")
@@ -337,15 +337,15 @@ TABLES: dict[str, Callable[[Row], str]] = {
     "Median value / truth": _tightness,
     "Worst margin; below 0: fails by that much": _margin,
 }
-"""Title of each table, and what stands in its cells."""
+"""Title of each table, and the function of its cells."""
 
 
 def _survey_footnotes(survey: Survey) -> list[str]:
     return [
-        "* ours, proven. Margins are in cells, steps or chance. ?: undecided on some worlds. Empty: undefined (eq. 5: "
+        "* ours, proven. Margins: cells, steps or probability. ?: undecided on some worlds. Empty: undefined (eq. 5: "
         "plans that share areas).",
-        "Sampled truths (closed loop, k > 1): a failure counts only beyond an interval that misses the truth with "
-        f"chance {ALPHA:g} / {survey.choices.figures:,}, so all counted failures hold together with "
+        "Sampled truths (closed loop, k > 1): a failure counts only outside an interval that misses the truth with "
+        f"chance {ALPHA:g} / {survey.choices.figures:,}, so that all counted failures hold simultaneously with "
         f"{100 * (1 - ALPHA):g} % confidence.",
     ]
 
@@ -354,8 +354,8 @@ def _survey_key_figures(survey: Survey) -> tuple[KeyFigure, ...]:
     rows, failing = survey.rows, survey.failing
     paper, ours = ({row.check.formula for row in rows if row.check.about.paper is of} for of in (True, False))
     return (
-        KeyFigure(f"{len(failing)} of {len(paper)}", "of the paper's formulas fail somewhere", "every reading counted"),
-        KeyFigure(f"{len({check.formula for _, _, check in survey.faults})}", "of what is proven fails",
+        KeyFigure(f"{len(failing)} of {len(paper)}", "of the paper's formulas fail somewhere", "counting all readings"),
+        KeyFigure(f"{len({check.formula for _, _, check in survey.faults})}", "proven formulas fail",
                   f"ours: {len(ours)} bounds"),
         KeyFigure(f"{sum(row.worlds for row in rows):,}", "comparisons", f"on {counted(survey.worlds, 'world')}"),
     )  # fmt: skip
@@ -414,7 +414,7 @@ def _row_json(row: Row) -> Json:
 
 
 def _csv(survey: Survey) -> str:
-    """Every comparison, one a line."""
+    """All comparisons, one a line."""
     rows = []
     for entry in survey.entries:
         for check in entry.checks:

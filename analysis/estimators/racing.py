@@ -1,10 +1,10 @@
-"""The best of many on common luck: successive halving, with verdicts that hold together.
+"""The best of many candidates on common random numbers: successive halving, with simultaneous confidence intervals.
 
-Where all are known exactly (`analysis.estimators.trial`) there is nothing to race for. Else
-all contenders roll out the same ids with the same seed, so robot i meets the same luck in all of them (SPEC section 14)
-and what they differ in is what is compared. At every look the better half goes on, with twice the rollouts (Karnin,
-Koren & Somekh, "Almost optimal exploration in multi-armed bandits", ICML 2013). That one is put aside is no verdict:
-whether the best beats it is said by an interval of their paired difference, and all of these hold together with 95 %.
+If all candidates are known exactly (`analysis.estimators.trial`), no rollouts are needed. Otherwise all candidates run
+the same ids with the same seed, so that robot i has the same failure threshold in all of them (SPEC section 14). In
+each round the better half continues with twice the rollouts (Karnin, Koren & Somekh, "Almost optimal exploration in
+multi-armed bandits", ICML 2013). Elimination itself is no statement of significance. The claim that the best candidate
+beats another one rests on an interval of their paired difference; all these intervals hold simultaneously with 95 %.
 """
 
 from __future__ import annotations
@@ -44,28 +44,28 @@ from planner.world.uncertain_maps import LARGEST, Hazard, Uncertain
 from planner.world.world import World
 
 USUAL = 4096
-"""Rollouts of each that comes through, when nobody says."""
+"""Default number of rollouts of each finalist."""
 
 
-def check_search(world: World, settings: Settings, choices: RolloutChoices, what: str) -> None:
-    """Raise InputError for what a search cannot go by: a map in doubt, plans for the open loop, too many rollouts."""
-    world.check_settled(what)
-    settings.check_alike(what)
+def check_search(world: World, settings: Settings, choices: RolloutChoices, name: str) -> None:
+    """Raise InputError for input that searches do not support: uncertain maps, open-loop plans, too many rollouts."""
+    world.check_settled(name)
+    settings.check_alike(name)
     if settings.plan_for != "closed_loop":
-        raise PlanError(f"plan_for is {settings.plan_for} in {what}", expected="closed_loop", fix="leave it out")
+        raise PlanError(f"plan_for is {settings.plan_for} in {name}", expected="closed_loop", fix="leave it out")
     if choices.rollouts > MOST_ROLLOUTS // 2:
-        expected = f"at most {MOST_ROLLOUTS // 2}: as many others check the best"
+        expected = f"at most {MOST_ROLLOUTS // 2}: the best is confirmed on as many others"
         raise UsageError(argument("rollouts", choices.rollouts), expected=expected)
 
 
 def screened(settings: Settings) -> tuple[str, ...]:
-    """A note where bounds that candidates are screened by are none: they presume that every visit stops with p."""
+    """A note if the bounds used for screening are invalid because some failures do not follow p of each visit."""
     said = settings.bearing().said
-    return (f"screened as if it were not for {said}: the bounds shown order the candidates alone",) if said else ()
+    return (f"screened without {said}: the bounds only order the candidates",) if said else ()
 
 
 def schedule(contenders: int, rollouts: int) -> list[tuple[int, int]]:
-    """(contenders that are still in, rollouts each has at the end) of every look: the last two get all of them."""
+    """(remaining candidates, total rollouts of each) for every round; the last two candidates get all rollouts."""
     looks = max(1, math.ceil(math.log2(max(contenders, 1))))
     return [
         (max(-(-contenders // 2**look), min(2, contenders)), -(-rollouts // 2 ** (looks - 1 - look)))
@@ -74,10 +74,10 @@ def schedule(contenders: int, rollouts: int) -> list[tuple[int, int]]:
 
 
 class Halving:
-    """Contenders of one team size, and what was rolled out of each.
+    """Successive halving over candidates of one team size.
 
     Attributes:
-        runs: by contender, of those that were rolled out. ranked: those still in, the best first.
+        runs: results by candidate. ranked: the remaining candidates, the best first.
     """
 
     def __init__(
@@ -89,10 +89,13 @@ class Halving:
         exact: bool = True,
         least: bool = False,
     ) -> None:
-        """`contenders`: each makes a trial, anew if there is no `room` to keep it.
+        """Set up the race.
 
-        `kept`: contenders of which the best goes on at every look. `exact`: whether exact values are looked for.
-        `least`: the best visits the least, as who places threats would have it.
+        Args:
+            contenders: functions that make a trial each; a trial that is not kept is made again.
+            rollouts: of each finalist. room: number of trials kept in memory.
+            kept: groups of candidates; the best of each group stays in every round.
+            exact: whether exact values are attempted. least: the best candidate is the one with the least coverage.
         """
         self.contenders, self.rollouts, self.room, self.kept = contenders, rollouts, room, kept
         self._looks_for_exact, self._sign = exact, 1.0 if least else -1.0
@@ -102,16 +105,16 @@ class Halving:
 
     @property
     def rolled(self) -> int:
-        """Rollouts so far, of all."""
+        """Rollouts done so far, of all candidates."""
         return sum(found.rollouts for found in self.runs.values())
 
     @property
     def exact(self) -> bool:
-        """Whether what each comes to is known exactly."""
+        """Whether all results are exact."""
         return all(found.exact for found in self.runs.values())
 
     def run(self, progress: ProgressCallback | None = None) -> None:
-        """Look after look; whoever interrupts it finds `runs` as they were, `best` among them."""
+        """Run all rounds. After an interruption `runs` and `best` hold the results so far."""
         clock, total, seen = time.perf_counter(), 0, 0
         tell = progress or quiet
         known = of_things(tell, "exact values")
@@ -129,7 +132,7 @@ class Halving:
             self.ranked.sort(key=self._rank)
 
     def _all_known(self, tell: Callable[[int], None]) -> bool:
-        """Whether all are known exactly, each in its share of the time; their `runs` then say so, and else are none."""
+        """Whether all candidates are known exactly, each within its share of the time; then `runs` holds the values."""
         if not self._looks_for_exact:
             return False
         for contender in self.ranked:
@@ -145,7 +148,7 @@ class Halving:
         return True
 
     def _through(self, size: int) -> list[int]:
-        """Those that go on: the best so many, and the best of each that is kept."""
+        """The `size` best candidates, and the best of each group that is kept."""
         leaders = {next(one for one in self.ranked if one in group) for group in self.kept}
         return [one for place, one in enumerate(self.ranked) if place < size or one in leaders]
 
@@ -155,12 +158,13 @@ class Halving:
         return self._trials[contender]
 
     def _extend(self, contender: int, upto: int) -> None:
+        # Rollouts are numbered: a later round continues at the next id.
         start = self.runs[contender].rollouts if contender in self.runs else 0
         more, before = self._trial(contender).sample(start, upto - start), self.runs.get(contender)
         self.runs[contender] = before + more if isinstance(before, Sampled) else more
 
     def _forget(self, done: Sequence[int], after: int) -> None:
-        """Of what rolled out `done` keep that of the best, as many as go on; and no more than there is room for."""
+        """Drop the trials of `done` except the `after` best, and all trials beyond `room`."""
         for contender in sorted(done, key=self._rank)[after:]:
             self._trials.pop(contender, None)
         for contender in sorted(self._trials.keys() & self.runs.keys(), key=self._rank)[self.room :]:
@@ -171,27 +175,28 @@ class Halving:
 
     @property
     def best(self) -> int:
-        """Of those that have most rollouts, the one that visits most (or most value, or least)."""
+        """Of the candidates with most rollouts, the one with the highest coverage or value (the lowest, if `least`)."""
         return self.best_of(range(len(self.contenders)))
 
     def best_of(self, some: Collection[int]) -> int:
-        """The same of some; of all where none of them was rolled out."""
+        """The best of `some` candidates; of all, if none of these has rollouts."""
         known = [contender for contender in self.ranked if contender in self.runs]
         seen = [contender for contender in known if contender in some] or known
         return min(seen, key=lambda contender: (-self.runs[contender].rollouts, *self._rank(contender)))
 
     def confirm(self, contender: int) -> Measured:
-        """As many other rollouts of one, ids from `rollouts` on, which had no part in the choice; or what is known."""
+        """The result of a candidate on as many other rollouts, ids from `rollouts` on; or its exact result."""
         found = self.runs[contender]
         return found if found.exact else self._trial(contender).sample(self.rollouts, self.rollouts)
 
     def behind(self, contender: int, ahead: int | None = None) -> tuple[float, float]:
-        """Share of all cells (or of all value) that the best visits more (or less), on what both have: an interval.
+        """Interval of the difference between the best and a candidate, a share of all cells (or of all value).
 
-        `ahead`: another one in the place of the best.
+        Args:
+            contender: the candidate. ahead: another candidate instead of the best.
 
-        All of one search hold together with 95 %, whichever is the best and whenever the other was put aside:
-        `bet_interval`, shared among all pairs.
+        The intervals of one search hold simultaneously with 95 %, for any best candidate and any round of elimination:
+        `bet_interval` at a level that is divided among all pairs.
         """
         best, other = self.runs[self.best if ahead is None else ahead], self.runs[contender]
         best, other = (other, best) if self._sign > 0 else (best, other)
@@ -199,29 +204,30 @@ class Halving:
         most = best.largest(figure)
         if isinstance(best, Known) or isinstance(other, Known):
             return best.ahead(other, figure, 1.0 / most).ci95
+        # A candidate may be eliminated in any round, so the interval must hold at any stopping time.
         n = min(best.rollouts, other.rollouts)
         apart = (best.column(figure)[:n] - other.column(figure)[:n]) / most
         return bet_interval(np.clip(apart, -1.0, 1.0), share_of_doubt(max(count * (count - 1) // 2, 1), 1))
 
 
-# A better order of areas on a map: what a cell of each counts for, found by trying (SPEC section 11, `priority`).
+# A better order of the areas of a map: weights of the cells of each area by local search (SPEC section 11, `priority`)
 #
-# A rule prices areas one by one; which of them had better come first, because of what lies behind it or of who else is
-# near, a number for each says. Moves of a few numbers at a time, of larger areas more often, are kept where the team
-# covers no less: exactly where a tree tells it at once, else on common luck.
+# A rule prices areas one by one, and ignores the areas behind them and the other robots nearby. A weight for each area
+# corrects that. Moves of a few weights, more often of large areas, are kept if the coverage does not fall: by the exact
+# tree if that is fast, else on common random numbers.
 
 ROLLOUTS = 512
-"""Of each order that is tried, where its tree takes too long."""
+"""Rollouts of each order, if its tree takes too long."""
 AT_ONCE = 0.01
-"""The share of the seconds for a tree in which an order has to be known exactly."""
+"""Share of the seconds for a tree within which an order must be known exactly."""
 FINE = 8
-"""Numbers are whole powers of 2 ** (1 / FINE)."""
+"""Weights are integer powers of 2 ** (1 / FINE)."""
 FURTHEST = 5
-"""A move multiplies by 2 ** (2 ** n / FINE), or divides, n below this: from 1.1 to 4 times."""
+"""A move multiplies or divides a weight by 2 ** (2 ** n / FINE), n below this: by 1.1 to 4."""
 
 
 def can_order(settings: Settings) -> bool:
-    """Whether the policy goes by prices, and nothing is refused for its price."""
+    """Whether the policy orders areas by price, without a robot value that excludes areas."""
     return settings.rule.by_price and settings.robot_value is None
 
 
@@ -234,7 +240,7 @@ def order_areas(
     tries: int,
     in_time: Callable[[], bool],
 ) -> Settings:
-    """The settings with the best `priority` of so many tries, or of those that were `in_time`."""
+    """The settings with the best `priority` after `tries` moves, or as many as were `in_time`."""
     alike = replace(settings, priority=(MOST_PRIORITY,) * world.threat.size)
     problem, plan = allocated(world, starts, alike)
     base = Trial(world, plan, choices, kept)
@@ -251,13 +257,14 @@ def order_areas(
             tried[area] += int(draw.choice((-1, 1))) << int(draw.integers(FURTHEST))
         counted = Trial(world, plan, choices, loop=_counting(loop, problem, _priority(plan, tried)))
         covered = _covered(counted, exact)
+        # Equal coverage is accepted, so that the search can cross plateaus.
         if covered >= most:
             best, most = tried, covered
     return replace(settings, priority=tuple(_priority(plan, best).tolist()))
 
 
 def _priority(plan: Plan, powers: NDArray[np.int64]) -> NDArray[np.int64]:
-    """What each cell counts, int64 `[N]`, the powers `[areas]` of the areas at t = 0 given."""
+    """Weight of each cell, int64 `[N]`, from the exponents `[areas]` of the areas at t = 0."""
     found = np.full(plan.shape[0] * plan.shape[1], MOST_PRIORITY, dtype=np.int64)
     shares = np.rint(MOST_PRIORITY * 2.0 ** ((powers - powers.max()) / FINE)).astype(np.int64)
     for area, share in zip(plan.areas, np.maximum(shares, 1), strict=True):
@@ -266,7 +273,7 @@ def _priority(plan: Plan, powers: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _counting(loop: ClosedLoop, problem: Problem, priority: NDArray[np.int64]) -> ClosedLoop:
-    """The loop of robots that count cells so."""
+    """The loop of robots that weight cells by `priority`."""
     assert loop.policy is not None
     value = worth_of(problem.world, problem.levels.accessible, tuple(priority.tolist()))
     assert value is not None
@@ -276,35 +283,35 @@ def _counting(loop: ClosedLoop, problem: Problem, priority: NDArray[np.int64]) -
 
 
 def _covered(trial: Trial, exact: bool) -> float:
-    """The share that is covered (or of all value); of one that is not known as the others are, less than any."""
+    """The share of cells (or of value) covered; -1 if the exact value is missing where others are exact."""
     if not exact:
         return trial.sample(0, ROLLOUTS).share
     known = trial.known(2 * AT_ONCE)
     return -1.0 if known is None else known.share
 
 
-# The policy that covers most on a map: a few settings raced on common luck, the best told on luck of its own.
+# The best policy on a map: a few settings raced on common random numbers, and the winner confirmed on other ones.
 #
-# Which settings are worth a try was found on random maps: `watchful` with so many robots at risk at once, and with the
-# safe areas at t = 0 left to one robot each; `per_cell`, and the paper's rule. Then a better order of areas is sought.
+# The settings were selected on random maps: `watchful` with several caps on the robots at risk, and with safe areas at
+# t = 0 shared or not; `per_cell`; and the paper's rule. Then the order of the areas is improved.
 
 SHARES = (1 / 8, 1 / 4, 1 / 2)
-"""Of the robots alive, that may be at risk at once; a single one too."""
+"""Shares of the robots alive that may be at risk at once; a single robot is raced too."""
 ALONE = 1e6
 """A density d at which no safe area is shared at t = 0."""
 BASE = PER_CELL.name
-"""The rule that limits on the team go with."""
+"""The rule that is raced under limits on the team."""
 TRIES = 50
-"""Orders of areas that are tried for a second of the search, however fast the machine is."""
+"""Orders of areas tried for each second of the search, on any machine."""
 LUCK = 2**64 - 1
-"""Seed of the search: nobody evaluates by it who does not ask for it, so that what is found is judged on other luck."""
+"""Seed of the search. It is reserved, so that the result is evaluated on other random numbers."""
 
 BEST_OF = "the best of "
-"""How the note of a plan that was searched for begins."""
+"""Start of the note in a plan that was searched for."""
 
 
 class _TimeOver(Exception):
-    """The search's own, caught where it began."""
+    """Ends the race; it is caught in `plan_best`."""
 
 
 def plan_best(
@@ -313,20 +320,21 @@ def plan_best(
     settings: Settings,
     seconds: float | None = None,
 ) -> Plan:
-    """The plan of the best of `contenders`; its last note says which that is, and what it gains.
+    """The plan of the best of `contenders`; its last note names the setting and its gain.
 
     Args:
-        settings: what all have in common. seconds: after which the race ends as it stands (default: SECONDS); whoever
-            ends in time finds the same on every machine.
+        world, starts: the map, and int64 `[K, 2]`. settings: common settings of all candidates.
+        seconds: time limit of the race (default: SECONDS). A race that ends earlier gives the same plan everywhere.
 
-    Raises InputError.
+    Raises:
+        InputError: the world or the settings are not supported.
     """
     POSITIVE.check("seconds", seconds, optional=True)
     choices = RolloutChoices(rollouts=USUAL, seed=LUCK)
     check_search(world, settings, choices, argument("policy", BEST))
     raced, kept = contenders(settings, len(starts)), AllPairs()
     makers = [partial(_trial, world, starts, one, choices, kept) for one in raced]
-    for maker in (makers[0], makers[1], makers[-1]):  # what is compiled costs the race no time
+    for maker in (makers[0], makers[1], makers[-1]):  # compile before the clock starts
         maker().sample(0, 1)
     race, ends = Halving(makers, USUAL), time.perf_counter() + (seconds or SECONDS)
 
@@ -348,22 +356,23 @@ def plan_best(
         found, maker = (found, ordered) if after.share > before.share else (raced[race.best], maker)
         in_time = time.perf_counter() < ends
     made = make_plan(world, starts, found)
-    told, plain = alike([maker(), makers[0]()], USUAL, USUAL)
-    gain = told.ahead(plain, told.counted, 1.0 / told.largest(told.counted))
+    # Rollouts from id USUAL on had no part in the choice, so that the gain is unbiased.
+    best, plain = alike([maker(), makers[0]()], USUAL, USUAL)
+    gain = best.ahead(plain, best.counted, 1.0 / best.largest(best.counted))
     gained = gain.more(100, " points", ("more", "less"))
-    more = f", {gained} than {policy_words(raced[0])} on other luck" if found != raced[0] else ""
+    more = f", {gained} than {policy_words(raced[0])} on other random numbers" if found != raced[0] else ""
     over = "" if in_time else f"; the search ended after {seconds or SECONDS:g} s"
     note = f"{BEST_OF}{counted(len(raced), 'setting')} is {policy_words(found)}{more}{over}"
     return replace(made, notes=(*made.notes, note))
 
 
 def is_best(plan: Plan) -> bool:
-    """Whether the plan is one of `plan_best`."""
+    """Whether the plan is the result of `plan_best`."""
     return any(note.startswith(BEST_OF) for note in plan.notes)
 
 
 def contenders(settings: Settings, robots: int) -> list[Settings]:
-    """What is raced: the paper's rule, or with limits on the team the plainest first; what is given stays."""
+    """The candidates: the paper's rule first, or the plainest rule under limits; given settings are not varied."""
     watchful = replace(settings, policy=WATCHFUL.name)
     most = {max(1, math.ceil(share * robots)): share for share in (*SHARES[::-1], 1 / robots)}
     risk_caps = [settings.risk_cap] if settings.risk_cap is not None else [None, *(most[m] for m in most if m < robots)]
@@ -380,16 +389,16 @@ def _trial(
     return Trial(world, allocated_plan(world, starts, settings), choices, kept)
 
 
-# The team of a plan with other eyes; and told which of several maps is true, or where hazards are, each rollout
-# on a plan for its own.
+# The team of a plan with another sensor; with a known map; with known hazards. In the last two each rollout has its own
+# plan.
 
 MOST_MAPS = 64
-"""That are planned on: those that the first rollouts meet."""
+"""Most maps that are planned on: those of the first rollouts."""
 HISTOGRAMS = ("visited", "survived", "time", "alive")
 
 
 def with_eyes(world: World, plan: Plan, far: float, choices: RolloutChoices) -> Trial:
-    """The team if it saw so many cells far, by a plan that is its own; inf: told the map, if it is not drawn."""
+    """The team with a sensor of range `far`, in cells, and a new plan; inf: a known map, unless the map is drawn."""
     assert world.knowledge is not None
     if far == world.knowledge.sense.range:
         return Trial(world, plan, choices)
@@ -398,9 +407,10 @@ def with_eyes(world: World, plan: Plan, far: float, choices: RolloutChoices) -> 
 
 
 def told_of_drawn(world: World, plan: Plan, choices: RolloutChoices, count: int) -> tuple[Sampled, NDArray[np.bool_]]:
-    """Rollouts `0 .. count - 1` of the plan's team, each on the map drawn for it, which it is told and plans for.
+    """Rollouts `0 .. count - 1` of the plan's team, each with a plan for its own, known map.
 
-    And bool `[count]`, which of them those are: the ones that meet one of the first MOST_MAPS maps.
+    Returns:
+        The sample, and bool `[count]`: the rollouts in it, whose map is one of the first MOST_MAPS.
     """
     doubt, settings = world.doubt, plan.require(world)
     assert isinstance(doubt, Uncertain)
@@ -423,16 +433,16 @@ def told_of_drawn(world: World, plan: Plan, choices: RolloutChoices, count: int)
 
 
 def told_of_hazards(world: World, plan: Plan, choices: RolloutChoices, count: int) -> Sampled:
-    """Rollouts `0 .. count - 1` of the plan's team, each told which cells have a hazard in it, and planning for that.
+    """Rollouts `0 .. count - 1` of the plan's team, each with a plan for its own, known hazards.
 
-    Where one is a visit stops a robot with h; a sure stop is planned on as the largest chance below 1.
+    A visit of a hazard destroys the robot with probability h; h = 1 is planned as the largest value below 1.
     """
     doubt, settings, results = world.doubt, plan.require(world), []
     assert isinstance(doubt, Hazard)
     for rollout, there in enumerate(hazards_met(doubt, choices.seed, np.arange(count))):
         q = np.where(there.reshape(world.shape), np.where(doubt.h < 1, 1.0, LARGEST), 0.0)
-        told = replace(doubt, q=np.where(world.free, q, np.nan).astype(np.float32), detector=None)
-        one = replace(world, threat=told.threat, doubt=told)
+        known = replace(doubt, q=np.where(world.free, q, np.nan).astype(np.float32), detector=None)
+        one = replace(world, threat=known.threat, doubt=known)
         sample = Trial(one, allocated_plan(one, plan.starts, settings), choices).sample(rollout, 1)
         assert sample.results is not None
         results.append(sample.results)
@@ -441,7 +451,7 @@ def told_of_hazards(world: World, plan: Plan, choices: RolloutChoices, count: in
 
 
 def only(sample: Sampled, kept: NDArray[np.bool_]) -> Sampled:
-    """Some rollouts of a sample that begins with id 0, with what means are made of; by luck only if all are kept."""
+    """Selected rollouts of a sample that starts at id 0; the sums for the control variate only if all are kept."""
     assert sample.results is not None
     columns = {of.name: getattr(sample.results, of.name)[kept] for of in fields(RolloutResults)[1:]}
     results, tally, seed = RolloutResults(0, **columns), sample.tally, sample.seed if kept.all() else None

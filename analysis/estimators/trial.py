@@ -1,6 +1,6 @@
-"""A plan that is tried: exactly where its tree ends in time, else by rollouts; the one place where searches ask which.
+"""The result of a plan: exact if its tree is small enough, else sampled. Searches use only this module for results.
 
-A search compares what is known alike: all of it exactly, or all on the same rollouts.
+A search compares like with like: all results are exact, or all are on the same rollouts.
 """
 
 from __future__ import annotations
@@ -40,25 +40,26 @@ from planner.simulator.state import MOST_PASSES, Counts
 from planner.tally import RolloutResults, Tally
 from planner.world.world import World
 
-# The closed loop without rollouts: by formulas where they are all of it, else by the tree of all that can happen.
+# The closed loop without rollouts: by formulas where they are exact, else by the tree of all possible histories.
 
 SLACK = 1e-4
-"""Of the cells: a mean that is known as closely counts as exact."""
+"""Largest uncertainty of a mean, a fraction of the cells, that counts as exact."""
 EFFORT = 3e8
-"""Histories of a tree times cells that take about a second: so much is done on every machine, busy or not."""
+"""Histories of a tree times cells that take about a second; a fixed amount of work, the same on every machine."""
 LARGE = 8
-"""Robots above which a history takes longer, by their number, and by its cube where they come home (64: 366 times) or
-do not hear each other everywhere (35: 40 times)."""
+"""Robots above which a history takes longer: by their number, and by its cube if they return to base (64: 366 times) or
+have a limited radio range (35: 40 times)."""
 MOST_CELLS = 5_000
-"""Of maps whose tables are worth it."""
+"""Largest map, in cells, whose tables for a tree are computed."""
 
 
 @dataclass(frozen=True)
 class TreeTruth(ClosedTruth):
-    """The closed loop's figures from a tree.
+    """Exact figures of the closed loop from a tree.
 
     Attributes:
-        tree: all that can happen, or next to all. masses: chances as a tally counts rollouts; None: too much was left.
+        tree: of all possible histories, or almost all. masses: probabilities in the form of a tally; None: too much of
+            the probability is unexplored.
     """
 
     tree: Tree = field(kw_only=True)
@@ -66,7 +67,7 @@ class TreeTruth(ClosedTruth):
 
     @property
     def is_all(self) -> bool:
-        """Whether rollouts have nothing to add: only what is next to nothing was left."""
+        """Whether rollouts add nothing: the unexplored probability is negligible."""
         return self.masses is not None and self.time is not None
 
     @property
@@ -93,13 +94,14 @@ def closed_truth(
     kept: AllPairs | None = None,
     fine_seconds: float = 0.0,
 ) -> ClosedTruth | None:
-    """The closed loop's figures within SLACK of the cells, or a tenth of the precision asked for; None: too dear.
+    """Figures of the closed loop within SLACK of the cells, or a tenth of the precision; None: the tree is too large.
 
-    `exact`: the open loop's. `kept`: where all-pairs tables are kept. `fine_seconds`: as of `tree_of`.
+    `exact`: of the open loop. `kept`: cache of all-pairs tables. `fine_seconds`: as in `tree_of`.
     """
     known = exact_truth(plan, world, exact, choices.first_only)
     if choices.exact == "never" or is_certain(world, plan) or (known is not None and not fine_seconds):
         return known
+    # A tenth of the precision makes the tree's uncertainty negligible.
     slack = min(SLACK, (choices.precision or 1.0) / 10)
     loop = _loop_of(plan, world, choices.first_only, kept)
     tree = None if loop is None else tree_of(loop, choices.exact_seconds, slack, fine_seconds)
@@ -107,7 +109,7 @@ def closed_truth(
 
 
 def _loop_of(plan: Plan, world: World, first_only: bool, kept: AllPairs | None) -> ClosedLoop | None:
-    """What a tree is grown of, or None where there is none, or it would be too dear."""
+    """The loop of which a tree is grown; None: it has no tree, or one that is too large."""
     from planner.rollouts.closed_loop import compile_closed_loop
 
     if (world.doubt is not None and world.phases is None) or int(world.accessible(plan.starts).sum()) > MOST_CELLS:
@@ -119,11 +121,11 @@ def _loop_of(plan: Plan, world: World, first_only: bool, kept: AllPairs | None) 
 
 
 def tree_of(loop: ClosedLoop, seconds: float, slack: float = SLACK, fine_seconds: float = 0.0) -> Tree | None:
-    """The tree of a closed loop with at most `slack` of the cells unknown, or None above `seconds`.
+    """The tree of a closed loop with at most `slack` of the cells unknown; None: it would take more than `seconds`.
 
-    A tree of one history is always grown: nothing can happen, or one robot is alone.
+    A tree of a single history (no danger, or one robot) is always grown.
 
-    `fine_seconds`: a tree that takes no longer is grown until next to nothing is left.
+    `fine_seconds`: time within which a tree is grown until the unexplored probability is negligible.
     """
     cells = loop.accessible
     slower = max(loop.robots / LARGE, 1.0) ** (3 if loop.comes_home or len(loop.tables.reach) else 1)
@@ -140,7 +142,7 @@ def _truth_of(tree: Tree, loop: ClosedLoop, plan: Plan, world: World) -> TreeTru
         _between(*one) for one in (tree.covered("visited"), tree.covered("survived"), tree.chance_left())
     )
     stated = as_stated(plan, world, tree.counts.outcomes / WHOLE, "tree")
-    counts = [Counts(*map(np.copy, tree.counts))]  # a state's own cells are added in place
+    counts = [Counts(*map(np.copy, tree.counts))]  # copied, because `tally_from` adds in place
     masses = tally_from(loop, 0, 0, WHOLE, counts) if tree.left <= SLACK else None
     alive, time = tree.mean_alive, tree.mean_time
     return TreeTruth(visited, survived, some_left, stated, 0, alive, time, tree=tree, masses=masses)
@@ -151,29 +153,29 @@ def _between(low: float, high: float) -> Truth:
 
 
 def _said(low: float, high: float) -> float | list[float]:
-    """A value, or the two between which it is certain to be."""
+    """A value, or its certain lower and upper bounds."""
     return low if low == high else [low, high]
 
 
-# Value covered, rollout by rollout, in whole numbers that add up exactly.
+# Value covered in each rollout, in integers, which add exactly.
 
 UNITS = 2**40
-"""The value of all cells in whole numbers: rounding is a millionth of a millionth of it a cell."""
+"""The value of all cells in integer units: rounding is 1e-12 of it a cell."""
 
 
 def units_of(worth: Worth) -> NDArray[np.float64]:
-    """What each cell adds to the sums of a rollout, not yet rounded, float64 `[N]`."""
+    """Units of each cell before rounding, float64 `[N]`."""
     share: NDArray[np.float64] = worth.value / worth.total * UNITS
     return share
 
 
 def most_units(cells: int) -> int:
-    """The largest sum of so many cells, each rounded."""
+    """The largest possible sum over `cells` cells after rounding."""
     return UNITS + cells
 
 
 def weigh(engine: Engine, world: World) -> Engine:
-    """The same rollouts; where a closed loop's world has values, they sum up that of visited cells: `worth_covered`."""
+    """The same engine; a closed loop with values also sums the units of visited cells: `worth_covered`."""
     if world.value is None:
         return engine
     covered = np.rint(units_of(Worth.of(world))).astype(np.int64)
@@ -181,31 +183,32 @@ def weigh(engine: Engine, world: World) -> Engine:
 
 
 def mean_value(
-    column: NDArray[np.int64], total: float, cells: int, certain: bool, luck: CommonLuck | None = None
+    column: NDArray[np.int64], total: float, cells: int, certain: bool, controls: CommonLuck | None = None
 ) -> Estimate:
-    """The mean of units `[B]`, as a value of the `total` of so many cells; `certain`: every run is the same.
+    """The mean of units `[B]`, as a value of the `total` of so many cells; `certain`: all rollouts are equal.
 
-    `luck`: of the rollouts, by which it is put right (`analysis.statistics.variance_reduction`).
+    `controls`: the rollouts by class of S, for the control variate (`analysis.statistics.variance_reduction`).
     """
     values, often = np.unique(column, return_counts=True)
     unit, most = total / UNITS, most_units(cells)
-    if luck is None or certain:
+    if controls is None or certain:
         found = mean_of(values, often, unit, most, certain)
     else:
-        found = estimate_of(values, often, luck.by_class, luck.x.astype(np.float64), luck.robots, unit, most)
-    rounding = 0.0 if certain else cells / 2 * unit  # of each cell's units
+        x = controls.x.astype(np.float64)
+        found = estimate_of(values, often, controls.by_class, x, controls.robots, unit, most)
+    rounding = 0.0 if certain else cells / 2 * unit  # the units of each cell are rounded
     mean = min(found.mean, total)
     return Estimate(mean, found.se, (max(found.ci95[0] - rounding, 0.0), min(found.ci95[1] + rounding, total)))
 
 
-# What a plan comes to, exactly or sampled: two answers to the same questions.
+# The result of a plan, exact or sampled, with one interface.
 #
-# `Known` is a tree of all that can happen (`planner.rollouts.exact_tree`), `Sampled` so many rollouts; means of both
-# are
-# `Estimate`s, and a difference of two is exact, or on common luck. Which of the two it is, is asked in `trial.py`.
+# `Known` holds a tree of all possible histories (`planner.rollouts.exact_tree`), `Sampled` a number of rollouts. Means
+# of both are `Estimate`s. A difference of two is exact, or on common random numbers. Only this module distinguishes the
+# two.
 
 Between = tuple[float, float]
-"""The least and the most that a figure may be."""
+"""Certain lower and upper bounds of a figure."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +216,7 @@ class Known:
     """Exact figures: "visited" and "survived" cells, robots "alive" and "lost", "time" in steps, share of "value".
 
     Attributes:
-        tree: of all that can happen. value: visited, a share of that of all free cells; None: nobody said what it is.
+        tree: of all possible histories. value: bounds of the visited share of the value; None: the map has no values.
     """
 
     tree: Tree
@@ -223,17 +226,17 @@ class Known:
 
     @property
     def counted(self) -> str:
-        """The figure that is gone by: value where there is any, else cells."""
+        """The figure that is compared: value if the map has values, else cells."""
         return "visited" if self.value is None else "value"
 
     @property
     def share(self) -> float:
-        """Of all cells, or of all value, that is visited on average."""
+        """Mean share of all cells, or of all value, that is visited."""
         low, high = self.between(self.counted)
         return (low + high) / 2 / self.largest(self.counted)
 
     def between(self, figure: str) -> Between:
-        """The least and the most that the mean may be; alike but for what the tree left."""
+        """Bounds of the mean; they differ only by the unexplored probability."""
         if figure == "value":
             assert self.value is not None
             return self.value
@@ -247,38 +250,38 @@ class Known:
         return stated(self.between(figure), unit, self.largest(figure))
 
     def bounds(self, figure: str, doubt: float) -> Between:
-        """What the mean lies between, whatever the `doubt`."""
+        """Bounds of the mean, for any error probability `doubt`."""
         return self.between(figure)
 
     def chance(self, figure: str, needed: int) -> Estimate:
-        """The chance that so many cells are "visited", or "survived"."""
+        """The probability that at least `needed` cells are "visited" or "survived"."""
         return stated(self.chance_bounds(figure, needed, 0.0), 1.0, 1.0)
 
     def chance_bounds(self, figure: str, needed: int, doubt: float) -> Between:
-        """What that chance lies between."""
+        """Bounds of that probability."""
         return self.tree.chance_of(figure, needed)
 
     def ahead(self, base: Measured, figure: str, unit: float = 1.0) -> Estimate:
-        """How much more of a figure than `base`, which is known too, times `unit`."""
+        """The difference of a figure from that of `base`, which is exact too, times `unit`."""
         assert isinstance(base, Known)
         (low, high), (least, most), reach = self.between(figure), base.between(figure), self.largest(figure)
         apart = (low - most, high - least)
-        if abs(sum(apart)) <= apart[1] - apart[0] + ROUNDING * reach:  # not told apart
+        if abs(sum(apart)) <= apart[1] - apart[0] + ROUNDING * reach:  # not distinguishable
             apart = (min(apart[0], 0.0), -min(apart[0], 0.0)) if apart[1] > apart[0] else (0.0, 0.0)
         return stated(apart, unit, 2 * reach)
 
     def by_step(self) -> NDArray[np.float64]:
-        """Share of the cells visited by the end of each step on average, float64 `[T + 1]`."""
+        """Mean share of the cells visited by the end of each step, float64 `[T + 1]`."""
         return np.cumsum(self.tree.counts.new) / WHOLE / self.largest("visited")
 
     def largest(self, figure: str) -> float:
-        """The most that a run may come to."""
+        """The largest possible value of a figure in a run."""
         axis = {"lost": "alive", "survived": "visited"}.get(figure, figure)
         return 1.0 if axis == "value" else len(getattr(self.tree.counts, axis)) - 1.0
 
 
 def stated(between: Between, unit: float, most: float) -> Estimate:
-    """Exact where it is within SLACK of the `most` there is, else with what it lies between."""
+    """Exact if the bounds are within SLACK of `most`, else an estimate with the bounds as its interval."""
     low, high = between
     mean = (low + high) / 2 * unit
     return exactly(mean) if high - low <= SLACK * most else Estimate(mean, 0.0, (low * unit, high * unit))
@@ -286,11 +289,11 @@ def stated(between: Between, unit: float, most: float) -> Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """The same figures of `n` rollouts, put right by their luck in the closed loop.
+    """The same figures from rollouts, with the control variate in the closed loop.
 
     Attributes:
-        tally, results: of them; results may be left out where nothing is compared. seed: of the closed loop, or None.
-        valued: the map has values. certain: every run is the same. seconds: that they took.
+        tally, results: of the rollouts; results may be omitted if nothing is compared. seed: of a closed loop, or None.
+        valued: the map has values. certain: all rollouts are equal. seconds: computing time.
     """
 
     tally: Tally
@@ -309,45 +312,45 @@ class Sampled:
 
     @property
     def rollouts(self) -> int:
-        """How many."""
+        """Number of rollouts."""
         return self.tally.rollouts
 
     @property
     def counted(self) -> str:
-        """As of `Known`."""
+        """As in `Known`."""
         return "value" if self.valued else "visited"
 
     @cached_property
     def share(self) -> float:
-        """As of `Known`, as the rollouts say it."""
+        """As in `Known`, the sample mean."""
         return float(self.column(self.counted).mean()) / self.largest(self.counted)
 
     def column(self, figure: str) -> NDArray[np.int64]:
-        """A figure of each rollout, int64 `[n]`; value in units of `analysis.estimators.trial`."""
+        """A figure of each rollout, int64 `[n]`; value in UNITS."""
         assert self.results is not None
         own = {"value": "worth_covered", "lost": "alive"}.get(figure, figure)
         found = getattr(self.results, own).astype(np.int64)
         return self.tally.robots - found if figure == "lost" else found
 
     def mean(self, figure: str, unit: float = 1.0, most: int | None = None) -> Estimate:
-        """A mean, times `unit`, with its interval; `most`: of time, the longest run that is possible."""
+        """A mean, times `unit`, with its interval; `most`: of time, the longest possible run."""
         if figure != "value":
             return tally_mean(self.tally, figure, unit, most, self.certain)
         column, cells = self.column(figure), len(self.tally.covered_visited)
-        return mean_value(column, unit, cells, self.certain, self._luck(column))
+        return mean_value(column, unit, cells, self.certain, self._controls(column))
 
     def bounds(self, figure: str, doubt: float) -> Between:
-        """What the mean lies between but for chance `doubt`, for any distribution (`mean_interval`)."""
+        """Bounds of the mean with error probability `doubt`, for any distribution (`mean_interval`)."""
         if self.certain:
             return self.mean(figure).ci95
         return mean_interval(self.tally.alive[::-1] if figure == "lost" else getattr(self.tally, figure), doubt)
 
     def chance(self, figure: str, needed: int) -> Estimate:
-        """As of `Known`."""
+        """As in `Known`."""
         return proportion(self._often(figure, needed), self.rollouts, self.certain)
 
     def chance_bounds(self, figure: str, needed: int, doubt: float) -> Between:
-        """What that chance lies between but for chance `doubt`."""
+        """Bounds of that probability with error probability `doubt`."""
         if self.certain:
             return self.chance(figure, needed).ci95
         return chance_interval(self._often(figure, needed), self.rollouts, doubt)
@@ -356,26 +359,26 @@ class Sampled:
         return int(getattr(self.tally, figure)[needed:].sum())
 
     def ahead(self, base: Measured, figure: str, unit: float = 1.0) -> Estimate:
-        """How much more of a figure than `base` on the rollouts that both have, times `unit`."""
+        """The difference of a figure from that of `base` on the rollouts of both, times `unit`."""
         assert isinstance(base, Sampled)
         n = min(self.rollouts, base.rollouts)
         less, more = base.column(figure)[:n], self.column(figure)[:n]
         one = unit / UNITS if figure == "value" else unit
         return difference(
             Paired.of(less, more), one, one, self.largest(figure) * one, self.certain and base.certain,
-            self._luck(less, more),
+            self._controls(less, more),
         ).estimate  # fmt: skip
 
     def by_step(self) -> NDArray[np.float64]:
-        """As of `Known`."""
+        """As in `Known`."""
         return np.cumsum(self.tally.new_visited) / (self.rollouts * self.tally.accessible)
 
     def largest(self, figure: str) -> float:
-        """As of `Known`; of value, in units."""
+        """As in `Known`; of value, in UNITS."""
         return float({"value": UNITS, "lost": self.tally.robots}.get(figure, self.tally.accessible))
 
-    def _luck(self, *columns: NDArray[np.int64]) -> CommonLuck | None:
-        """Sums of one column, or of two, by the luck of their rollouts; None of few, or of the open loop."""
+    def _controls(self, *columns: NDArray[np.int64]) -> CommonLuck | None:
+        """Sums of one or two columns by class of S; None for few rollouts and for the open loop."""
         n = len(columns[0])
         if self.seed is None or n < LEAST:
             return None
@@ -389,11 +392,11 @@ class Sampled:
 
 
 Measured = Known | Sampled
-"""What a plan comes to."""
+"""The result of a plan, exact or sampled."""
 
 
 class Trial:
-    """A plan in a world, ready to be asked what it comes to by the deadline of the choices."""
+    """A plan in a world; gives its exact or sampled results up to the deadline of the choices."""
 
     def __init__(
         self,
@@ -403,7 +406,7 @@ class Trial:
         kept: AllPairs | None = None,
         loop: ClosedLoop | None = None,
     ) -> None:
-        """`kept`: where all-pairs tables are kept. `loop`: in the place of the plan's. Raises InputError."""
+        """`kept`: cache of all-pairs tables. `loop`: replaces the loop of the plan. Raises InputError."""
         if loop is None:
             plan = knowing_deadline(world, plan, choices, nominal=False)
         self.world, self.plan, self.choices = world, plan, choices
@@ -422,21 +425,21 @@ class Trial:
 
     @cached_property
     def engine(self) -> Engine:
-        """What rolls it out, to the deadline; in the closed loop with what is visited of values."""
+        """The engine, truncated at the deadline; in the closed loop it also sums visited value."""
         engine = self._whole if self.loop is None else weigh(self._whole, self.world)
         return engine if self.choices.deadline is None else engine.until(self.choices.deadline)
 
     def until(self, step: int | None) -> Trial:
-        """The same, ended at the end of `step`."""
+        """The same trial, truncated at the end of `step`."""
         return Trial(self.world, self.plan, replace(self.choices, deadline=step), loop=self.loop)
 
     def under(self, truth: World) -> Trial:
-        """The same decisions, but robots are stopped by the threats of `truth`, a map of the same cells."""
+        """The same decisions, with the threats of `truth`, a map of the same cells."""
         assert self.loop is not None
         return Trial(truth, self.plan, self.choices, loop=self.loop.under(truth))
 
     def known(self, share: float = 1.0) -> Known | None:
-        """What it comes to exactly; None where that would take more than this `share` of the choices' exact seconds."""
+        """The exact result; None if it needs more than this `share` of the choices' exact seconds."""
         if self._known is None and share > self._looked:
             self._known, self._looked = self._exactly(self.choices.exact_seconds * share), share
         return self._known
@@ -449,7 +452,7 @@ class Trial:
         return None if self.choices.loop == "closed" else open_loop_exact(plan, self.world)
 
     def stops(self, found: Measured) -> NDArray[np.float64]:
-        """Robots stopped in each cell on average, float64 `[N]`."""
+        """Expected number of robots lost in each cell, float64 `[N]`."""
         if isinstance(found, Sampled):
             return found.tally.stops / found.rollouts
         assert self.loop is not None
@@ -462,7 +465,7 @@ class Trial:
             return None
         loop, end = self.loop, self.choices.deadline
         tree = tree_of(loop if end is None else loop.until(end), seconds)
-        if tree is None or (seconds == 0 and tree.counts.stops.any()):  # unasked for, but where every run is the same
+        if tree is None or (seconds == 0 and tree.counts.stops.any()):  # only if no robot can be lost
             return None
         if self.world.value is None:
             return Known(tree)
@@ -471,30 +474,30 @@ class Trial:
         return Known(tree, (low, high))
 
     def sample(self, start: int, count: int) -> Sampled:
-        """Rollouts `start .. start + count - 1`, each by itself; the last ones asked for are kept."""
+        """Rollouts `start .. start + count - 1` with single results; the last sample is cached."""
         asked, found = self._last
         if found is None or asked != (start, count):
-            engine, seed = self.engine, self._luck_seed
+            engine, seed = self.engine, self._threshold_seed
             ran = engine.run(start, count) if seed is None else run_by_luck(engine, seed, start, count)
             found = self._sampled(*ran)
             self._last = (start, count), found
         return found
 
     def roll(self, start: int, count: int, marks: Iterable[int]) -> Iterator[Sampled]:
-        """The same, where it stands after every chunk, the `marks` among them; single rollouts only of value."""
+        """Yield the sample after every chunk, also at the `marks`; single results only if the map has values."""
         parts: list[RolloutResults] = []
         valued = self._valued
         for chunk in run_chunks(
-            self.engine, count, start=start, checkpoints=marks, results=valued, by_luck=self._luck_seed
+            self.engine, count, start=start, checkpoints=marks, results=valued, by_luck=self._threshold_seed
         ):
             parts += [chunk.results] if valued and chunk.results is not None else []
             yield self._sampled(chunk.tally, RolloutResults.join(parts) if parts else None, chunk.seconds)
 
     def _sampled(self, tally: Tally, results: RolloutResults | None, seconds: float = 0.0) -> Sampled:
-        return Sampled(tally, results, self._luck_seed, self._valued, self.certain, seconds)
+        return Sampled(tally, results, self._threshold_seed, self._valued, self.certain, seconds)
 
     @property
-    def _luck_seed(self) -> int | None:
+    def _threshold_seed(self) -> int | None:
         return None if self.loop is None else self.choices.seed
 
     @property
@@ -503,9 +506,9 @@ class Trial:
 
 
 def alike(trials: Sequence[Trial], start: int, count: int, share: float = 1.0) -> Sequence[Measured]:
-    """What they come to, all exactly or all on the same rollouts, so that it can be compared.
+    """Comparable results of trials: all exact, or all on the same rollouts.
 
-    `share`: as of `Trial.known`.
+    `share`: as in `Trial.known`.
     """
     known: list[Measured] = []
     for trial in trials:

@@ -1,1 +1,1 @@
-"""The answer of `evaluate`: how much of this map will this plan cover, and how sure is that?"""
+"""The evaluation of a plan: coverage, losses and time, with their uncertainty."""

@@ -1,4 +1,4 @@
-"""Evaluate a plan: closed form, formulas, rollouts until a count or a precision, what else was asked; the answer."""
+"""Evaluate a plan: exact values, formulas, rollouts up to a count or a precision, and further outputs."""
 
 from __future__ import annotations
 
@@ -77,23 +77,23 @@ if TYPE_CHECKING:
     from analysis.page.maps import Run as DrawnRun
 
 
-# What an evaluation holds: the plan, its exact values and bounds, and the tally of its rollouts.
+# The result of an evaluation: the plan, its exact values and bounds, and the tally of its rollouts.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Evaluation(Answer):
-    """One evaluated plan.
+    """The result of the evaluation of one plan.
 
     Attributes:
-        world, plan: what was evaluated. closed_form: the open loop's exact values.
+        world, plan: the input. closed_form: exact values of the open loop.
         loop: "open" or "closed". engine: "jax" or "numba". seed: of the rollouts.
-        tally: the counts. outputs: what else was asked for, by key (`analysis.evaluation.outputs`).
-        choices: what was asked for. closed: the closed loop's expected values where they are known exactly, else None.
-        seconds: spent on rollouts, compilation left out. compile_seconds: spent on that.
-        partial: True if it was interrupted; the tally holds what was done.
-        notes: what a user should know.
-        bound: whether the bound for every strategy is worked out (`flow` of `analysis.theory.upper_bound`).
-        certain: no robot's way leads through danger: every run is the one rollout of the tally, in both loops.
+        tally: counts over the rollouts. outputs: further outputs by key (`analysis.evaluation.outputs`).
+        choices: the requested rollouts. closed: exact expected values of the closed loop if they are known, else None.
+        seconds: time of the rollouts without compilation. compile_seconds: time of the compilation.
+        partial: whether it was interrupted; the tally then holds the rollouts that were done.
+        notes: remarks for the user.
+        bound: whether the upper bound for every strategy is computed (`flow` of `analysis.theory.upper_bound`).
+        certain: no path passes a dangerous cell. All runs are equal in both loops, and the tally holds one rollout.
     """
 
     reported_by = "analysis.evaluation.report:report"
@@ -116,20 +116,21 @@ class Evaluation(Answer):
     bound: bool | None = None
 
     def with_outputs(self, more: Mapping[str, Output], partial: bool) -> Evaluation:
-        """The same with further outputs; what was worked out already is kept."""
+        """The same evaluation with further outputs; cached values are kept."""
         whole = replace(self, outputs={**self.outputs, **more}, partial=partial)
+        # Cached properties depend on the rollouts only, except `blocks`, which depends on the outputs.
         kept = {name: value for name, value in vars(self).items() if name not in vars(whole) and name != "blocks"}
         vars(whole).update(kept)
         return whole
 
     @cached_property
     def blocks(self) -> list[Blocks]:
-        """What the outputs add to the report, in order."""
+        """The report elements of the outputs, in order."""
         return [found.blocks() for found in self.outputs.values()]
 
     @cached_property
     def cells(self) -> dict[str, int]:
-        """Cells of the world: total, free, accessible, and the dangerous ones among the accessible."""
+        """Numbers of cells: total, free, accessible, and accessible with a threat above 0."""
         return {
             "total": self.world.threat.size,
             "free": int(self.ground.free.sum()),
@@ -139,24 +140,24 @@ class Evaluation(Answer):
 
     @cached_property
     def ground(self) -> World:
-        """The map as it is, whatever robots are told of it."""
+        """The true map, without the robots' knowledge of it."""
         return as_it_is(self.world)
 
     @cached_property
     def accessible(self) -> NDArray[np.bool_]:
-        """bool `[H, W]`: cells that the team can reach."""
+        """bool `[H, W]`: cells that some robot can reach."""
         return self.world.accessible(self.plan.starts)
 
     @cached_property
     def figures(self) -> Figures:
-        """What the rollouts come to, or all that can happen."""
+        """Figures of the rollouts, or exact figures of all possible histories."""
         longest = longest_run(self.world, self.plan, self.loop)
         sampled = Figures.of(self.tally, self.certain, longest, home_of(self.plan, self.tally, self.loop))
         return sampled.with_tree(self.closed.tree) if isinstance(self.closed, TreeTruth) else sampled
 
     @cached_property
     def shown(self) -> Figures:
-        """The figures as reports say them: exact wherever that is known, of either loop."""
+        """The figures that reports show: exact values if they are known, of either loop."""
         if self.loop == "open":
             return self.figures.with_formulas(self.closed_form, self.closed_form.mean_time)
         if self.closed is None or isinstance(self.closed, TreeTruth):
@@ -165,24 +166,24 @@ class Evaluation(Answer):
 
     @cached_property
     def rest(self) -> Rest | None:
-        """What is left of the mission; None: all of it."""
+        """The remaining part of the mission; None for a whole mission without a range."""
         return rest_of(self.world, self.plan)
 
     @cached_property
     def p_means(self) -> str:
-        """What p means where it is no chance; else ""."""
+        """The meaning of p if it is not a probability; else ""."""
         return bearing_words(self.plan, self.world)
 
     @cached_property
     def engine_said(self) -> str:
-        """The engine, and why it was taken where nobody chose."""
+        """The engine, with the reason if it was selected automatically."""
         chosen = choose_engine(self.choices.engine)
         why = self.choices.engine == "auto" and chosen.name == self.engine
         return f"{self.engine} ({chosen.why})" if why else self.engine
 
     @property
     def is_exact(self) -> bool:
-        """Whether what is expected of each cell is: of the open loop, of a closed one that is the same, of a tree."""
+        """Whether the expected values by cell are exact: open loop, equal closed loop, or exact tree."""
         if self.loop == "open":
             return self.closed_form.is_known
         if isinstance(self.closed, TreeTruth):
@@ -191,7 +192,7 @@ class Evaluation(Answer):
 
     @cached_property
     def how_known(self) -> str:
-        """Where the expected values come from: "open loop, exact", or "closed loop, sampled, 20,000 rollouts"."""
+        """The source of the expected values: "open loop, exact" or "closed loop, sampled, 20,000 rollouts"."""
         if self.is_exact:
             return f"{self.loop} loop, exact"
         rollouts = counted(self.tally.rollouts, "rollout")
@@ -199,49 +200,49 @@ class Evaluation(Answer):
 
     @cached_property
     def layers(self) -> Layers:
-        """What a page and pictures show cell by cell."""
+        """Layers by cell for the page and for pictures."""
         from analysis.evaluation.layers import layers_of
 
-        lines = "the plan" if self.world.knowledge is None else "what robots drove in the run that is played"
+        lines = "the plan" if self.world.knowledge is None else "the paths of the run that is played"
         return layers_of(self.ground, self.plan, self.accessible, self.expected, self.how_known, self.rest, lines)
 
     @cached_property
     def played(self) -> tuple[list[DrawnRun], str]:
-        """The runs that a page plays, and where they come from; rolled out when they are asked for."""
+        """The runs that a page plays, and their caption; simulated on demand."""
         from analysis.evaluation.layers import runs
 
         return runs(self.world, self.plan, self.choices, self.tally.rollouts, self.certain)
 
     @property
     def last_shown(self) -> int:
-        """Where a time axis ends."""
+        """Last step of a time axis."""
         return last_shown(self.plan, self.loop, self.tally)
 
     @property
     def settled(self) -> bool:
-        """Whether the map is one and told, every visit stops with its p: what formulas and bounds presume."""
+        """Whether the paper's assumptions hold: one known map, and each visit destroys the robot with probability p."""
         return self.world.doubt is None and self.world.knowledge is None and self.plan.bearing.is_plain
 
     @cached_property
     def checks(self) -> list[Check]:
-        """The paper's formulas held against the open loop's exact values; none where they presume more (`settled`)."""
+        """The paper's formulas compared with the open loop's exact values; empty if not `settled`."""
         if not self.settled:
             return []
         return paper_checks(self.plan, self.world, self.closed_form, self.formulas)
 
     @cached_property
     def verdicts(self) -> dict[str, Verdict | None]:
-        """What becomes of each formula, in all its meanings and robots together; None of those without a check."""
+        """The verdict on each formula over all its meanings and robots; None without a check."""
         return {formula: overall(of_formula(self.checks, formula)) for formula in FORMULAS}
 
     @cached_property
     def worst_checks(self) -> list[Check]:
-        """Of each formula and meaning the check of the robot for which it holds least."""
+        """For each formula and meaning, the check of the robot with the smallest margin."""
         return worst_of_robots(self.checks)
 
     @property
     def exact(self) -> Known:
-        """Expected values of the evaluated loop, where they are known without sampling; never the other loop's."""
+        """Expected values of the evaluated loop that are known without sampling."""
         if self.loop == "closed":
             closed = self.closed
             if closed is None:
@@ -259,7 +260,7 @@ class Evaluation(Answer):
 
     @property
     def bounds(self) -> Limits:
-        """What no strategy exceeds on average; the paper's formulas are in `formulas`."""
+        """Upper bounds of the expected coverage for every strategy; the paper's formulas are in `formulas`."""
         ideals = (self.formulas.ideal_team, self.formulas.ideal_eq7)
         ideal, ideal_one = (Amount.of(cells, self.tally.accessible) for cells in ideals)
         if self.limit is None:
@@ -274,19 +275,19 @@ class Evaluation(Answer):
 
     @cached_property
     def limit(self) -> AnyStrategy | None:
-        """The bounds for every strategy; None where they presume more (`settled`), of first visits, in mid-mission."""
+        """The bound for every strategy; None if not `settled`, for first visits only, and from a mission state."""
         if self.choices.first_only or not self.settled or self.plan.state is not None:
             return None
         return any_strategy(trimmed(self.world, self.plan), self.plan.starts, self.bound)
 
     @property
     def visited(self) -> Coverage:
-        """Visited coverage: the mean exact where it is known."""
+        """Visited coverage; its mean is exact if that is known."""
         return self._coverage("visited")
 
     @property
     def survived(self) -> Coverage:
-        """The same of cells that a robot entered without being stopped there."""
+        """Coverage of cells that a robot entered and survived; its mean is exact if that is known."""
         return self._coverage("survived")
 
     def _coverage(self, meaning: str) -> Coverage:
@@ -297,28 +298,32 @@ class Evaluation(Answer):
 
     @cached_property
     def control(self) -> dict[str, Controlled]:
-        """How the luck of the rollouts is taken into account, by figure; empty where it is not: of few."""
+        """The control variate of each sampled mean, by figure; empty for few rollouts."""
         sampled = [figure for figure in ("visited", "survived", "time", "alive") if getattr(self.exact, figure) is None]
         found = {figure: of_tally(self.tally, figure) for figure in sampled}
         return {figure: one for figure, one in found.items() if one is not None and not self.certain}
 
     @property
     def losses(self) -> Losses:
-        """Robots lost in a run: exact where that is known."""
+        """Robots lost in a run; the mean is exact if that is known."""
         return self.shown.losses
 
     @property
     def time(self) -> Estimate:
-        """Steps of a run: exact where that is known."""
+        """Steps of a run; the mean is exact if that is known."""
         return self.shown.time
 
     def singles(self, most: int | None = None) -> dict[str, NDArray]:
-        """The rollouts one by one, as columns `[B]`: rollout, visited, survived (cells), time, alive, outcome.
+        """The single rollouts as columns `[B]`: rollout, visited, survived (cells), time (steps), alive, outcome.
 
-        They are rolled out again, `most` of them (default: all). Memory: 25 bytes a rollout.
+        The rollouts are simulated again. Memory: 25 bytes a rollout.
+
+        Args:
+            most: number of rollouts; None: all.
         """
         whole(1, MOST_ROLLOUTS, "how many rollouts").check("most", most, optional=True)
         count = self.tally.rollouts if most is None else min(most, self.tally.rollouts)
+        # Whole runs, also if coverage by a deadline was requested.
         found = make_singles(self.world, self.plan, replace(self.choices, deadline=None))(0, count)
         names = np.array([self.plan.ending(outcome).word for outcome in Outcome])
         columns = {name: getattr(found, name) for name in ("visited", "survived", "time", "alive")}
@@ -330,7 +335,7 @@ class Evaluation(Answer):
 
     @cached_property
     def expected(self) -> Expected:
-        """What to expect of the evaluated loop: the open loop's closed form, a tree's chances, or means of rollouts."""
+        """Expected values of the evaluated loop: open-loop closed form, exact tree, or means of the rollouts."""
         exact, tally = self.closed_form, self.tally
         if isinstance(self.closed, TreeTruth) and self.closed.masses is not None:
             tally = self.closed.masses
@@ -342,7 +347,7 @@ class Evaluation(Answer):
         return Expected(tally.covered_visited / n, tally.stops / n, *curves)
 
 
-# The outputs of `evaluate` by the key that they are asked for with, in the order in which they are measured.
+# The outputs of `evaluate` by key, in the order in which they are measured.
 
 OUTPUTS: dict[str, type[Output]] = {
     "deadline": Deadline,
@@ -356,15 +361,15 @@ OUTPUTS: dict[str, type[Output]] = {
     "map_doubt": MapDoubt,
     "advice": Advice,
 }
-"""The key is that of `Evaluation.outputs` and of the JSON object too."""
+"""The keys are those of `Evaluation.outputs` and of the JSON object."""
 
 
-# Evaluate a plan: closed form, formulas, rollouts until a count or a precision, and what else was asked for.
+# The evaluation: exact values, formulas, rollouts up to a count or a precision, and further outputs.
 
 FINE_SECONDS = 0.2
-"""Of a tree that is grown until rollouts have nothing to add."""
+"""Seconds for growing a tree to a precision at which rollouts add nothing."""
 TO_LOOK_AT, CONTENT = 8 * FIRST_LOOK, {"band", "advice"}
-"""Rollouts where they have nothing to add, and the outputs that are content with so many."""
+"""Rollouts when the tree is complete, and the outputs for which that number is sufficient."""
 
 
 def evaluate(
@@ -378,17 +383,23 @@ def evaluate(
     bound: bool | None = None,
     **asked: Any,
 ) -> Evaluation:
-    """Roll `plan` out in `world` and put the counts beside the exact values and the formulas.
+    """Evaluate `plan` in `world`: rollouts, exact values and formulas.
 
-    Where nothing can happen (`is_certain`) one rollout is run, whatever was asked for: every run is the same.
-    An interruption (KeyboardInterrupt) ends it with what was done so far, marked `partial`; if that is nothing, it is
-    raised again. Raises InputError.
+    If all runs are equal (`is_certain`), one rollout is run. An interruption (KeyboardInterrupt) ends the evaluation
+    with the rollouts done so far, marked `partial`; without any rollout it is raised again.
 
     Args:
-        progress, doing: told how far it has come, and in words what begins.
-        show: given the answer before the `bound` and `late` outputs are worked out, and again with each of these.
-        bound: whether the bound for every strategy is worked out, as `flow` of `analysis.theory.upper_bound`.
-        asked: further outputs by their key in `OUTPUTS`, with what its `measure` takes: `threat_scale=(0.5, 2)`.
+        world, plan, choices: the map, the plan, the rollouts.
+        progress, doing: receive the number of rollouts done, and the name of each stage.
+        show: receives the result before the `bound` and the `late` outputs are computed, and again after each of these.
+        bound: whether the bound for every strategy is computed, as `flow` of `analysis.theory.upper_bound`.
+        asked: further outputs by key in `OUTPUTS`, with the argument of their `measure`: `threat_scale=(0.5, 2)`.
+
+    Returns:
+        The evaluation.
+
+    Raises:
+        InputError: an unknown output, or one that this world does not support.
     """
     choices = choices.timed(world.pace)
     check_deadline(plan, choices)
@@ -402,10 +413,11 @@ def evaluate(
     exact = open_loop_exact(plan, world)
     last, partial, closed, rolled, kept = None, False, None, choices, AllPairs()
     try:
-        roll_out = make_roll_out(world, plan, choices, kept=kept)  # an engine that cannot do it says so at once
+        roll_out = make_roll_out(world, plan, choices, kept=kept)  # raises if the engine does not support this world
         if choices.loop == "closed":
             closed = closed_truth(plan, world, exact, choices, kept, FINE_SECONDS)
         is_all = isinstance(closed, TreeTruth) and closed.is_all and wanted.keys() <= CONTENT
+        # The tree is complete and exact: rollouts only serve outputs that need single runs.
         if is_all and choices.precision is not None:
             rolled = replace(choices, rollouts=TO_LOOK_AT, precision=None)
         begin("rollouts")
@@ -413,9 +425,11 @@ def evaluate(
             last = stage
     except KeyboardInterrupt:
         partial = True
+    # Interrupted before the first stage: there is no partial result.
     if last is None:
         raise KeyboardInterrupt
     run = Run(world, plan, choices, last, roll_out, exact, closed, certain, kept, tell, begin)
+    # Late outputs are measured after the result was shown for the first time.
     soon, late = ({key: v for key, v in wanted.items() if OUTPUTS[key].late == is_late} for is_late in (False, True))
     outputs, partial = _measured(soon, run, partial)
     answer = Evaluation(
@@ -440,7 +454,7 @@ def evaluate(
         show(answer)
     if bound:
         begin("the bound for every strategy")
-        answer.limit  # noqa: B018 - worked out here, where progress is told
+        answer.limit  # noqa: B018 - computed here, while progress is reported
     for key, value in late.items():
         more, partial = _measured({key: value}, run, partial)
         answer = answer.with_outputs(more, partial)
@@ -450,7 +464,7 @@ def evaluate(
 
 
 def _measured(wanted: dict[str, Any], run: Run, partial: bool) -> tuple[dict[str, Output], bool]:
-    """The outputs by key, and whether it was interrupted, then or before."""
+    """The outputs by key, and whether an interruption occurred, now or before."""
     outputs: dict[str, Output] = {}
     for key, value in wanted.items():
         if OUTPUTS[key].own_rollouts and partial:
@@ -464,12 +478,12 @@ def _measured(wanted: dict[str, Any], run: Run, partial: bool) -> tuple[dict[str
 
 
 def check_asked(world: World, **asked: Any) -> None:
-    """Raise InputError for outputs that this world has none of, before anything is planned. Arguments as `evaluate`."""
+    """Raise InputError for outputs that this world does not support, before planning. Arguments as in `evaluate`."""
     _wanted(RolloutChoices(), asked, world)
 
 
 def _wanted(choices: RolloutChoices, asked: dict[str, Any], world: World) -> dict[str, Any]:
-    """What was asked for of each output, in the order of `OUTPUTS`, checked; what was not asked for is left out."""
+    """The requested outputs with their arguments, checked, in the order of `OUTPUTS`."""
     unknown = [name for name in asked if name not in OUTPUTS]
     if unknown:
         raise UsageError(f"evaluate has no output `{unknown[0]}`", expected=f"one of {', '.join(OUTPUTS)}")
@@ -488,10 +502,10 @@ def _wanted(choices: RolloutChoices, asked: dict[str, Any], world: World) -> dic
 
 
 def cut_off(world: World, tally: Tally, plan: Plan) -> tuple[str, ...]:
-    """A note if rollouts were ended by the plan's deadline, or cut off at T_max: what they would cover is not known."""
+    """A note if rollouts were ended by the plan's deadline or truncated at T_max, so that their coverage is unknown."""
     count = int(tally.outcomes[Outcome.STEP_LIMIT])
     if plan.settings is not None and plan.settings.deadline is not None:
-        home = "robots turn so as to be home by then" if plan.comes_home else "the team is called home then"
+        home = "robots return to base by then" if plan.comes_home else "the team is recalled then"
         return (f"the plan ends the mission at {world.pace.step(plan.settings.deadline)}: {home}",)
     if count == 0:
         return ()
@@ -502,38 +516,40 @@ def cut_off(world: World, tally: Tally, plan: Plan) -> tuple[str, ...]:
 
 
 def too_few(last: Stage, choices: RolloutChoices) -> tuple[str, ...]:
-    """A note if it ended before what was asked for was reached."""
+    """A note if the requested count or precision was not reached."""
     done = last.tally.rollouts
     if choices.precision is None:
         reached = done >= choices.rollouts
         of = counted(choices.rollouts, "rollout")
-        return () if reached else (f"{choices.seconds:g} s were over after {done:,} of {of}",)
+        return () if reached else (f"{choices.seconds:g} s ended after {done:,} of {of}",)
     half = half_width(last.tally)
     if half < choices.precision:
         return ()
-    ends = "the last rollout that there is" if choices.seconds is None else f"{choices.seconds:g} s"
-    wanted = f"asked for was ± {100 * choices.precision:g}"
-    return (f"{ends} came before that precision: mean coverage is sure to ± {100 * half:.3g} points, {wanted}; "
-            f"{argument('seconds')} gives it longer",)  # fmt: skip
+    ends = "the last possible rollout" if choices.seconds is None else f"{choices.seconds:g} s"
+    wanted = f"requested: ± {100 * choices.precision:g}"
+    return (f"{ends} came before that precision: the interval of mean coverage is ± {100 * half:.3g} points, {wanted}; "
+            f"{argument('seconds')} allows more time",)  # fmt: skip
 
 
 def until_enough(stages: Iterator[Stage], choices: RolloutChoices, progress: ProgressCallback) -> Iterator[Stage]:
-    """The stages up to the one that is precise enough, or with which the time is over, or all."""
+    """The stages up to the first that reaches the precision or the time limit, or all stages."""
     marks = set(looks())
     for stage in stages:
         done = stage.tally.rollouts
         half = math.inf if choices.precision is None else half_width(stage.tally)
         progress(done, expected_rollouts(choices, done, half, stage.seconds), stage.seconds)
         yield stage
+        # The precision is tested at fixed marks only, so that the end does not depend on chunk sizes.
         enough = choices.precision is not None and done in marks and half < choices.precision
         if enough or (choices.seconds is not None and stage.seconds >= choices.seconds):
             return
 
 
 def expected_rollouts(choices: RolloutChoices, done: int, half: float, seconds: float) -> int:
-    """How many there will be, as far as one can tell: those asked for; or so many as a `half`-width of now tells of."""
+    """The expected total number of rollouts: the requested number, or an estimate from the current `half`-width."""
     total = choices.rollouts
     if choices.precision is not None:
+        # The half-width falls with the square root of the number of rollouts.
         needed = done * (half / choices.precision) ** 2
         total = next((look for look in looks() if look >= max(needed, done)), looks()[-1])
     if choices.seconds is not None and seconds > 0:

@@ -1,4 +1,4 @@
-"""What a tally comes to: every figure that is said of rollouts, estimated once; and outputs measured beside them."""
+"""Figures of a tally, each estimated once; expected values and bounds; and the interface of the outputs."""
 
 from __future__ import annotations
 
@@ -51,25 +51,25 @@ if TYPE_CHECKING:
     from analysis.page.maps import CellLayer
 
 
-# What a tally comes to: every figure that is said of rollouts, estimated once for words, tables, JSON and pictures.
+# Figures of a tally: estimated once for text, tables, JSON and pictures.
 
 ENDED = 0.999
-"""Share of a closed loop's rollouts that have ended where a time axis ends."""
+"""Quantile of the end of closed-loop rollouts at which a time axis ends."""
 MOST_LISTED = 6
-"""Robots of a team of which the chance that so many come home is listed for every number."""
+"""Largest team for which the probability of every number of returned robots is listed."""
 CURVE = 121
-"""Places of the curve of the chance to visit so much."""
+"""Points of the curve of the probability of a coverage."""
 
 
 @dataclass(frozen=True)
 class Chance(Estimate):
-    """A chance, from so many `rollouts`; 0: of all that can happen, and its interval is certain."""
+    """A probability, from `rollouts`; 0 rollouts: from all possible histories, with a certain interval."""
 
     rollouts: int
 
     @staticmethod
     def known(low: float, high: float) -> Chance:
-        """It is certain to lie between these."""
+        """A probability that certainly lies between the two values."""
         return Chance((low + high) / 2, 0.0, (low, high), 0)
 
     @property
@@ -78,7 +78,7 @@ class Chance(Estimate):
         return f"{self.columns()[0]} %"
 
     def columns(self, scale: float = 100.0, most: int | None = 100) -> tuple[str, str]:
-        """In percent, and its interval: ("0.3", "0.0 .. 0.9"), or ("0", "0.4 or less") where none was seen."""
+        """In percent, and its interval: ("0.3", "0.0 .. 0.9"), or ("0", "0.4 or less") if no rollout counts."""
         low, high = (scale * end for end in self.ci95)
         if self.rollouts == 0:
             digits, sure = min(self.digits(scale), 2), self.ci95[1] - self.ci95[0] <= SLACK
@@ -91,9 +91,9 @@ class Chance(Estimate):
 
 
 def sampled_share(count: int, runs: int) -> str:
-    """`count` of `runs` in percent, with the decimals that the 95 % interval bears out; never rounded to 0 or 100.
+    """`count` of `runs` in percent, with the decimals of the 95 % interval; never rounded to 0 or 100.
 
-    A share that these decimals cannot tell from 0 or 100 gets more of them, up to MOST_DIGITS, then "> 99.9999".
+    A share that these decimals cannot distinguish from 0 or 100 gets more of them, up to MOST_DIGITS: "> 99.9999".
     """
     half = 100.0 * proportion(count, runs).half_width
     digits = int(np.clip(math.ceil(-math.log10(half)), 0, MOST_DIGITS))
@@ -102,47 +102,47 @@ def sampled_share(count: int, runs: int) -> str:
 
 @dataclass(frozen=True)
 class Losses(Estimate):
-    """Robots lost of so many `robots`."""
+    """Robots lost of `robots`."""
 
     robots: int
 
     @property
     def decimals(self) -> int:
-        """As many as are shown, two at most."""
+        """Number of decimals that are shown, two at most."""
         return min(self.digits(), 2)
 
     def columns(self, scale: float = 1.0, most: int | None = None) -> tuple[str, str]:
-        """("1.87 of 5", "1.85 .. 1.89"), as of `losses_shown`."""
+        """("1.87 of 5", "1.85 .. 1.89"), as in `losses_shown`."""
         return losses_shown(self, self.robots)
 
 
 @dataclass(frozen=True)
 class AtHome(Estimate):
-    """Robots that are home at the end, alive. `at_least`: the chance of 0, 1, ..., K or more of them."""
+    """Robots that have returned at the end, alive. `at_least`: the probability of at least 0, 1, ..., K of them."""
 
     at_least: tuple[Chance, ...]
 
     @classmethod
     def of(cls, counts: NDArray[np.int64], certain: bool) -> Self:
-        """Of a histogram `[K + 1]` of rollouts."""
+        """From a histogram `[K + 1]` of rollouts."""
         runs, more = int(counts.sum()), counts[::-1].cumsum()[::-1].tolist()
         chances = (Chance(**vars(proportion(often, runs, certain)), rollouts=runs) for often in more)
         return cls(**vars(mean_estimate(counts, 1.0, certain=certain)), at_least=tuple(chances))
 
     def with_tree(self, tree: Tree) -> Self:
-        """The same, of all that can happen where that is known."""
+        """The same with the tree's exact values, where they are known."""
         mean = tree.mean_home
         chances = tuple(Chance.known(*tree.chance_home(least)) for least in range(len(self.at_least)))
         return replace(self, **({} if mean is None else vars(exactly(mean))), at_least=chances)
 
     @property
     def robots(self) -> int:
-        """K."""
+        """Size K of the team."""
         return len(self.at_least) - 1
 
     @property
     def shown(self) -> dict[int, Chance]:
-        """Of the whole team first, then of ever fewer; of large teams some."""
+        """The probabilities by number of robots, from K downwards; a selection for large teams."""
         few = {math.ceil(x * self.robots) for x in AT_LEAST} | {1}
         shown = range(self.robots, 0, -1) if self.robots <= MOST_LISTED else sorted(few, reverse=True)
         return {least: self.at_least[least] for least in shown}
@@ -154,12 +154,13 @@ class AtHome(Estimate):
 
 @dataclass(frozen=True, eq=False)
 class Covered:
-    """Coverage in one meaning.
+    """Coverage in one meaning (visited or survived).
 
     Attributes:
-        counts: int64 `[cells + 1]`, rollouts by cells covered, or masses; what a tree left, with the least it covers.
-        mean: cells. certain: every run is the same.
-        known: the chance to cover so many cells or more, at least and at most, of a tree; None: of rollouts.
+        counts: int64 `[cells + 1]`, rollouts by cells covered. Of a tree: masses; unexplored histories count with the
+            least that they cover.
+        mean: cells. certain: all runs are equal.
+        known: bounds of the probability to cover at least n cells, from a tree; None: sampled.
     """
 
     counts: NDArray[np.int64]
@@ -169,46 +170,50 @@ class Covered:
 
     @classmethod
     def of_tree(cls, tree: Tree, meaning: str) -> Self:
-        """Of all that can happen."""
+        """From an exact tree."""
         counts = getattr(tree.counts, meaning) + getattr(tree.counts, f"left_{meaning}")
         low, high = tree.covered(meaning)
         return cls(counts, exactly((low + high) / 2), False, partial(tree.chance_of, meaning))
 
     def in_order(self, chances: NDArray[np.float64]) -> Self:
-        """Of one robot, which covers its cells in the order of their `chances` `[N]`: the n-th is that of n or more."""
+        """For one robot with coverage probabilities `[N]`: it covers its cells in descending order of them.
+
+        The n-th largest probability is therefore that of covering at least n cells.
+        """
         least = np.concatenate([[1.0], np.sort(chances)[::-1][: self.cells], [0.0]])
         mass = np.rint(-np.diff(least) * WHOLE).astype(np.int64)
         return replace(self, counts=mass, known=lambda cells: (float(least[cells]), float(least[cells])))
 
     @property
     def cells(self) -> int:
-        """Accessible cells."""
+        """Number of accessible cells."""
         return len(self.counts) - 1
 
     @cached_property
     def quantiles(self) -> dict[float, float]:
-        """Cells in single runs; NaN of what so few do not tell."""
+        """Quantiles in cells; NaN if the rollouts are too few."""
         return quantiles(self.counts, 1, self.certain)
 
     def chance(self, cells: int) -> Chance:
-        """The chance to cover so many or more."""
+        """The probability to cover at least so many cells."""
         if self.known is not None:
             return Chance.known(*self.known(cells))
         covered, rollouts = int(self.counts[cells:].sum()), int(self.counts.sum())
         return Chance(**vars(proportion(covered, rollouts, self.certain)), rollouts=rollouts)
 
     def chance_of_share(self, fraction: float) -> Chance:
-        """The chance to cover that fraction of the accessible cells or more."""
+        """The probability to cover at least this fraction of the accessible cells."""
+        # 1e-9: rounding must not raise a whole number of cells to the next one.
         return self.chance(math.ceil(fraction * self.cells - 1e-9))
 
     @cached_property
     def at_least(self) -> dict[float, Chance]:
-        """Of AT_LEAST."""
+        """The probability to cover each fraction of AT_LEAST."""
         return {x: self.chance_of_share(x) for x in AT_LEAST}
 
     @cached_property
     def curve(self) -> tuple[NDArray[np.int64], list[Chance]]:
-        """Cells, and the chance to cover so many or more, from what all rollouts covered to what none did."""
+        """Cells, and the probability to cover at least so many, over the range of the counts."""
         held = np.flatnonzero(self.counts)
         first, last = max(int(held[0]) - 1, 0), min(int(held[-1]) + 1, self.cells)
         at = np.unique(np.linspace(first, last, CURVE).round().astype(np.int64))
@@ -224,7 +229,7 @@ class Covered:
 
 @dataclass(frozen=True, eq=False)
 class Coverage(Estimate):
-    """Coverage of a loop: its mean, a fraction of the accessible cells, and how single runs scatter around it."""
+    """Coverage of a loop: mean, a fraction of the accessible cells, and the distribution over single runs."""
 
     covered: Covered
 
@@ -234,26 +239,26 @@ class Coverage(Estimate):
         return self.mean * self.covered.cells
 
     def quantile(self, q: float) -> float:
-        """The least fraction that a share `q` of the runs does not exceed: 0.05 for what 95 % of runs reach."""
+        """The `q` quantile of coverage over runs, a fraction of the cells: 95 % of runs reach `quantile(0.05)`."""
         FRACTION.check("q", q)
         return quantile(self.covered.counts, q) / self.covered.cells
 
     def at_least(self, fraction: float) -> Chance:
-        """The chance to cover that fraction or more."""
+        """The probability to cover at least that fraction of the accessible cells."""
         FRACTION.check("fraction", fraction)
         return self.covered.chance_of_share(fraction)
 
 
 @dataclass(frozen=True, eq=False)
 class Figures:
-    """Of rollouts, as they tell; of a tree what it tells.
+    """Figures of rollouts, or of an exact tree.
 
     Attributes:
-        visited, survived: coverage. complete: the chance to visit every accessible cell.
-        ends: the chances of those outcomes that some rollouts had. left: of 0, ..., K robots at the end.
-        some_left: the chance that a robot is left. alive, losses: robots that are, and those that are not.
-        home: robots that are home at the end; None: they need not come home.
-        time: steps. assured: cells that 95 % of all runs visit, sure with 95 %; None: too few rollouts to say.
+        visited, survived: coverage. complete: probability to visit every accessible cell.
+        ends: probabilities of the outcomes that occurred. left: of 0, ..., K robots alive at the end.
+        some_left: probability that a robot survives. alive, losses: robots alive and robots lost at the end.
+        home: robots that have returned at the end; None: they need not return.
+        time: steps. assured: cells that 95 % of all runs visit, with 95 % confidence; None: too few rollouts.
     """
 
     visited: Covered
@@ -270,9 +275,11 @@ class Figures:
 
     @classmethod
     def of(cls, tally: Tally, certain: bool, longest: int | None = None, home: NDArray[np.int64] | None = None) -> Self:
-        """Of a tally; `certain`: every run is the same. `longest`: steps that a run takes at most, if it is known.
+        """From a tally.
 
-        `home`: int64 `[K + 1]`, rollouts by robots home at the end, where robots come home.
+        Args:
+            tally: the counts. certain: all runs are equal. longest: most steps of a run, if known.
+            home: int64 `[K + 1]`, rollouts by number of returned robots, if robots return to base.
         """
         runs = tally.rollouts
 
@@ -299,7 +306,7 @@ class Figures:
         )
 
     def with_tree(self, tree: Tree) -> Self:
-        """The same, of all that can happen where that is known."""
+        """The same with the tree's exact values, where they are known."""
         counts, alive = tree.counts, tree.mean_alive
         ends = {outcome: int(counts.outcomes[outcome]) for outcome in Outcome}
         known = replace(
@@ -319,7 +326,7 @@ class Figures:
         return known if tree.mean_time is None else replace(known, time=exactly(tree.mean_time))
 
     def with_means(self, visited: float, survived: float, lost: float) -> Self:
-        """The same, with means that are known, NaN: not; cells, and robots lost."""
+        """The same with known means; cells and robots, NaN if unknown."""
         known = {name: getattr(self, name) for name in MEANINGS}
         for name, cells in zip(MEANINGS, (visited, survived), strict=True):
             if math.isfinite(cells):
@@ -330,9 +337,9 @@ class Figures:
         return replace(self, **known, alive=exactly(robots - lost), losses=Losses(**vars(exactly(lost)), robots=robots))
 
     def with_formulas(self, exact: OpenLoopExact, time: float | None) -> Self:
-        """The same, where robots follow their own paths to the end, as far as `exact` and `time` are known."""
+        """The same with the exact values of robots that follow their own paths; `time`: steps, or None."""
         robots, lost = self.losses.robots, exact.expected_losses
-        if exact.survival.sum() > 0:  # however little it is
+        if exact.survival.sum() > 0:  # some robot may survive, even if rounding hides it
             lost = min(lost, math.nextafter(robots, 0.0))
         known = self.with_means(exact.visited, exact.survived, lost)
         if math.isfinite(exact.some_left):
@@ -346,24 +353,24 @@ class Figures:
         return known if time is None or not math.isfinite(time) else replace(known, time=exactly(time))
 
     def coverage_json(self) -> Json:
-        """In both meanings."""
+        """Coverage in both meanings."""
         return {meaning: getattr(self, meaning).to_json() for meaning in MEANINGS}
 
 
 def last_shown(plan: Plan, loop: str, tally: Tally) -> int:
-    """Where a time axis ends: the makespan; of a closed loop at least where 99.9 % of its rollouts have ended."""
+    """Last step of a time axis: the makespan; of a closed loop at least the ENDED quantile of the rollouts' ends."""
     return plan.makespan if loop == "open" else max(plan.makespan, quantile(tally.time, ENDED))
 
 
-# Expected values and bounds of an evaluated plan, as far as they are known.
+# Expected values and bounds of an evaluated plan, where they are known.
 
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """Expected values of the loop that was evaluated, for tables and pictures: exact ones where there are any.
+    """Expected values of the evaluated loop, for tables and pictures: exact if known, else means of rollouts.
 
     Attributes:
-        visited_by_cell: float64 `[N]`, chance that each cell is visited. stops_by_cell: robots lost there.
+        visited_by_cell: float64 `[N]`, probability that each cell is visited. stops_by_cell: robots lost there.
         visited_curve, survived_curve: float64 `[T + 1]`, expected cells covered by the end of each step.
     """
 
@@ -374,13 +381,13 @@ class Expected:
 
     @property
     def visited(self) -> float:
-        """Expected cells visited."""
+        """Expected number of cells visited."""
         return float(self.visited_by_cell.sum())
 
 
 @dataclass(frozen=True)
 class Known:
-    """Expected values that are known exactly: coverage in both meanings, robots alive at the end, steps; None: not."""
+    """Exact expected values: coverage in both meanings, robots alive at the end, steps; None: not known."""
 
     visited: Amount | None
     survived: Amount | None
@@ -389,21 +396,21 @@ class Known:
 
 
 LIMITS = {
-    "least": "the smallest of those below that hold for this team",
-    "any_strategy": "no strategy of this team exceeds it on this map (proven)",
-    "ideal": "no strategy of this team exceeds it on any map with these p: ways cost nothing",
+    "least": "the smallest of the bounds below that hold for this team",
+    "any_strategy": "policy-independent upper bound for this team on this map (proven)",
+    "ideal": "upper bound for this team on any map with these p: moves cost nothing",
     "ideal_one": "the same for one robot, eq. (7) of the paper; a team may exceed it",
 }
-"""What the bounds of `Limits` mean, a line each."""
+"""Meanings of the bounds of `Limits`, a line each."""
 
 
 @dataclass(frozen=True, repr=False)
 class Limits:
-    """Expected coverage that no strategy exceeds; a single run may.
+    """Upper bounds of the expected coverage for every strategy; a single run may exceed them.
 
     Attributes:
-        least: the least of the bounds that hold. any_strategy: the certified bound of this map; None: not worked out.
-        ideal: of the team. ideal_one: of one robot, eq. (7).
+        least: the smallest valid bound. any_strategy: the certified bound for this map; None: not computed.
+        ideal: for the team. ideal_one: for one robot, eq. (7).
     """
 
     least: Amount
@@ -412,7 +419,7 @@ class Limits:
     ideal_one: Amount
 
     def _brief(self) -> tuple[str, Rows]:
-        """A line for each bound: its name, its value rounded upwards, and what it means."""
+        """A line for each bound: its name, its value rounded up, and its meaning."""
         rows = [(name, f"{_upwards(getattr(self, name))}: {meaning}") for name, meaning in LIMITS.items()]
         return "Limits: upper bounds of the mean coverage; a single mission may cover more", rows
 
@@ -424,28 +431,29 @@ class Limits:
 
 
 def _upwards(bound: Amount | None) -> str:
-    """A bound from above in two decimals, never less than it is but by what a float is wrong by."""
+    """An upper bound in two decimals, rounded up except for rounding errors of floats."""
     if bound is None:
         return "not computed (bound=True computes it where it applies)"
+    # 1e-9: rounding errors must not raise the bound by a hundredth.
     share, cells = (math.ceil(100 * value - 1e-9) / 100 for value in (100 * bound.mean, bound.cells))
     return f"{share:.2f} % ({cells:,.2f} cells)"
 
 
-# What a range cuts off, and what a mission's state leaves: cells and robots, for the page and the picture.
+# The effect of a range and of a mission state on cells and robots, for the page and the picture.
 
 TO_DO, BEFORE, BEYOND = range(3)
 
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """Of a plan with a range, or from a state.
+    """The remaining mission of a plan with a range, or from a state.
 
     Attributes:
-        kinds: int64 `[H, W]`, of accessible cells: TO_DO; BEFORE, visited in the state; BEYOND, further than any robot
-            alive has moves for, there and, of robots that come home, back. returns: they come home.
-        step: of the state; None: it is the whole mission.
-        limited: there is a range. ended: robots at the end of theirs in the nominal run.
-        pace: how long a step takes, if that is known.
+        kinds: int64 `[H, W]`, of accessible cells: TO_DO; BEFORE, visited in the state; BEYOND, too far for the moves
+            of any robot alive (with the way back if robots return). returns: robots return to base.
+        step: of the state; None: the whole mission.
+        limited: there is a range. ended: robots that use up their range in the nominal run.
+        pace: length of a step, if known.
     """
 
     kinds: NDArray[np.int64]
@@ -457,22 +465,22 @@ class Rest:
 
     @property
     def title(self) -> str:
-        """Of the section and the picture."""
-        parts = [] if self.step is None else [f"Going on from {self.pace.step(self.step)}"]
-        return ", ".join([*parts, *["what the range leaves" if parts else "What the range leaves"] * self.limited])
+        """Title of the section and of the picture."""
+        parts = [] if self.step is None else [f"Resumed from {self.pace.step(self.step)}"]
+        return ", ".join([*parts, *["cells within range" if parts else "Cells within range"] * self.limited])
 
     @property
     def too_far(self) -> str:
-        """What makes a cell too far, for sentences."""
-        return "too far for any robot to visit and come home" if self.returns else "too far for the moves of any robot"
+        """The reason why a cell is too far, for sentences."""
+        return "too far for any robot to visit and return" if self.returns else "too far for the moves of any robot"
 
 
-NAMES = ("to do", "visited before", "too far")
-"""Of the kinds, in order."""
+NAMES = ("to visit", "visited before", "too far")
+"""Names of the kinds, in order."""
 
 
 def rest_of(world: World, plan: Plan) -> Rest | None:
-    """What is left of a plan's mission; None for a whole one of robots that can drive without end."""
+    """The remaining mission of a plan; None for a whole mission without a range."""
     moves = moves_left(plan)
     if plan.state is None and moves is None:
         return None
@@ -482,24 +490,25 @@ def rest_of(world: World, plan: Plan) -> Rest | None:
         kinds[accessible & ~within(world, plan)] = BEYOND
     if plan.state is not None:
         kinds.reshape(-1)[plan.state.visited] = BEFORE
+    # Waits are not moves, and do not use up the range.
     made = [int((np.diff(robot.path) != 0).sum()) for robot in plan.robots]
     ended = 0 if moves is None else sum(own >= most for own, most in zip(made, moves, strict=True))
     step = None if plan.state is None else plan.state.step
     return Rest(kinds, plan.comes_home, step, moves is not None, ended, world.pace)
 
 
-# What an output of `evaluate` is: measured beside rollouts that were done, then only written down.
+# The interface of the outputs of `evaluate`: measured after the rollouts, then only reported.
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """The rollouts that were done, for an output to measure more in.
+    """The rollouts of an evaluation, as the input of an output.
 
     Attributes:
-        world, plan, choices: what was rolled out. last: where it stands. roll_out: rolls it out again.
-        exact: the open loop's expected values. closed: the closed loop's where they are known exactly, else None.
-        certain: every run is the same. kept: tables for other plans of this map.
-        progress, doing: told how far it has come, and in words what begins.
+        world, plan, choices: the input of the rollouts. last: their last stage. roll_out: runs more of them.
+        exact: expected values of the open loop. closed: those of the closed loop if known exactly, else None.
+        certain: all runs are equal. kept: tables that other plans of this map reuse.
+        progress, doing: receive the number of rollouts done, and the name of each stage.
     """
 
     world: World
@@ -516,7 +525,7 @@ class Run:
 
 
 class Row(NamedTuple):
-    """A row of the table of coverage, in percent: the open loop's exact value, and what stands in the other columns."""
+    """A row of the table of coverage, in percent: name, the open loop's exact value, the other columns."""
 
     name: str
     exact: str
@@ -525,14 +534,14 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """What an output adds to the report of an evaluation, which every medium shows.
+    """The elements that an output adds to the report of an evaluation.
 
     Attributes:
-        opens: sentences right after the headline. alternatives: what other settings achieve, after them. leads: then.
-        rows: of the table of coverage. tables: below it. notes: below all of them.
-        curves, marks: of the chart of coverage over time, in percent of the accessible cells, and its upright lines.
-        below: charts below the answer. layers: of the maps cell by cell, each a picture by this name.
-        pictures, files: as of `Report`. settings: what was asked for.
+        opens: sentences after the summary. alternatives: sentences on other settings. leads: sentences after these.
+        rows: of the table of coverage. tables: after it. notes: after all tables.
+        curves, marks: of the chart of coverage over time, in percent of the accessible cells, and its vertical lines.
+        below: charts after the answer. layers: further maps by cell, each with a picture of this name.
+        pictures, files: as in `Report`. settings: the requested values.
     """
 
     opens: Sequence[str] = ()
@@ -551,39 +560,39 @@ class Blocks:
 
 
 class Output(ABC):
-    """What was found of one output. A subclass states `measure`, its value in JSON, and its blocks of the report."""
+    """Base class of the outputs: a subclass defines `measure`, its JSON value, and its elements of the report."""
 
     own_rollouts = True
-    """It rolls out more, so that it is left out after an interruption."""
+    """It needs more rollouts, and is skipped after an interruption."""
     late = True
-    """The summary and the tables of coverage and chances do without it: they are shown before it is measured."""
+    """It is measured after the summary and the tables of coverage and probabilities were shown."""
 
     @classmethod
     def check(cls, asked: Any, world: World) -> None:
-        """Raise UsageError for what cannot be measured in this world, before anything is rolled out."""
+        """Raise UsageError if it cannot be measured in this world, before any rollout."""
         return
 
     @classmethod
     @abstractmethod
     def measure(cls, asked: Any, run: Run) -> Iterator[Self]:
-        """What is found, whole or, for a start, in part; each replaces the one before. `asked`: the option's value."""
+        """Yield the output, possibly first in part; each replaces the one before. `asked`: the option's value."""
 
     def as_json(self) -> object:
-        """Its value in the JSON object; None: it is not in it."""
+        """Its value in the JSON object; None: omitted."""
         return None
 
     def blocks(self) -> Blocks:
-        """What it adds to the report."""
+        """Its elements of the report."""
         return Blocks()
 
 
 def coverage_row(name: str, covered: Covered, of: int, exact: float) -> Row:
-    """Coverage in percent of `of` cells, beside the open loop's `exact` cells."""
+    """A row of coverage in percent of `of` cells, with the open loop's `exact` number of cells."""
     unit = 100.0 / of
     runs = (in_percent(cells / of, 1) for cells in covered.quantiles.values())
     return Row(name, in_percent(exact / of, 2), (*covered.mean.columns(unit, 100), *runs))
 
 
 def known_words(value: float, form: str = "{:.2f}") -> str:
-    """A number that is known; nothing where it is not (NaN)."""
+    """A known number as text; "" for NaN."""
     return "" if math.isnan(value) else form.format(value)

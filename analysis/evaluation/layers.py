@@ -1,4 +1,4 @@
-"""What an evaluation says cell by cell, as layers of one map: for the page and for pictures."""
+"""The results of an evaluation by cell, as layers of one map, for the page and for pictures."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from planner.tally import Trace
 from planner.world.world import World
 
 KINDS = ListedColormap(["#cfe3c3", "#8f96a3", "#b98fb5"])
-"""Cells to do, done, and too far, as `analysis.evaluation.figures` numbers them."""
+"""Cells to do, done, and too far, as numbered in `analysis.evaluation.figures`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layers:
-    """A value for each cell.
+    """Values by cell.
 
     Attributes:
-        plan: the threat, below the plan's paths. threat, chance, losses: of the map, covered, robots lost.
-        left: what is left of the risk. areas: who holds which; none of paths alone.
-        to_do: what is left to do, of a mission that is limited or under way.
+        plan: the threat, drawn below the plan's paths. threat, chance, losses: p, probability of coverage, robots lost.
+        left: residual risk. areas: assignment of areas to robots; empty for plans without areas.
+        to_do: remaining cells of a mission with a range or from a state.
     """
 
     plan: CellLayer
@@ -47,9 +47,11 @@ def layers_of(
     world: World, plan: Plan, accessible: NDArray[np.bool_], expected: Expected, how_known: str, rest: Rest | None,
     lines: str = "the plan",
 ) -> Layers:  # fmt: skip
-    """Of expected values; `how_known`, and what the `lines` over the map are, which a page draws on demand: in words.
+    """Layers of the expected values.
 
-    `rest`: of the mission, where that is not all of it.
+    Args:
+        how_known: source of the values. rest: remaining part of the mission, if it is not the whole.
+        lines: description of the paths that a page draws on the map.
     """
     lost = expected.stops_by_cell
     threat, chance, losses = chance_layers(world, plan, expected.visited_by_cell, lost, how_known)
@@ -70,33 +72,33 @@ def layers_of(
 
 
 def _to_do(rest: Rest) -> CellLayer:
-    about = f"Green: to do; grey: visited before; violet: {rest.too_far}."
-    return CellLayer("What is to do", about, rest.kinds.astype(np.float64), KINDS, norm=Normalize(0, len(NAMES) - 1),
-                     names=NAMES, short="To do")  # fmt: skip
+    about = f"Green: to visit; grey: visited before; violet: {rest.too_far}."
+    return CellLayer("Cells to visit", about, rest.kinds.astype(np.float64), KINDS, norm=Normalize(0, len(NAMES) - 1),
+                     names=NAMES, short="To visit")  # fmt: skip
 
 
 # The runs that an evaluation's page plays: the plan without losses, and its median, worst and best rollout.
 
 PICKS = parse_picks("median,worst,best")
 SHARE, MOST = 20, 5_000
-"""The runs are chosen out of one rollout in SHARE, MOST of them: a small part of the time that all took."""
+"""The runs are selected from one rollout in SHARE, at most MOST, so that this takes a small part of the total time."""
 FEW = (10, 100)
-"""Least rollouts that are looked at, on large maps and on small ones, and WORK between the two."""
+"""Fewest rollouts considered, on large and on small maps; in between, WORK decides."""
 WORK = 2_000_000
-"""Steps of single robots that are always worth their time."""
+"""Robot steps that take negligible time."""
 
 
 def runs(world: World, plan: Plan, choices: RolloutChoices, rollouts: int, certain: bool) -> tuple[list[Run], str]:
-    """The runs and where they come from; none for maps that are shown in blocks of cells.
+    """The runs and their caption; empty for maps that are shown in blocks of cells.
 
-    The same answer gives the same runs: how many of its `rollouts` are looked at depends on no clock.
+    The number of rollouts considered depends on `rollouts` only, not on time, so that equal results give equal runs.
     """
     if world.threat.size > MOST_CELLS:
         return [], ""
     if not looks(world, choices):
-        played, note = [nominal(plan)], "The plan: the run in which nobody is lost."
-    else:  # what is planned is what robots believe at first, and nobody drives it
-        played, note = [], "Dark: what nobody has seen yet."
+        played, note = [nominal(plan)], "The plan: the run without losses."
+    else:  # the plan follows the prior map, and no robot drives it
+        played, note = [], "Dark: cells not yet seen by any robot."
     if not certain:
         found, ids, looked_at = picked(world, plan, choices, rollouts)
         played += found
@@ -106,22 +108,22 @@ def runs(world: World, plan: Plan, choices: RolloutChoices, rollouts: int, certa
 
 
 def looks(world: World, choices: RolloutChoices) -> bool:
-    """Whether robots come to know the map by what they see."""
+    """Whether robots learn the map with a sensor."""
     return choices.loop == "closed" and world.knowledge is not None and world.knowledge.sense.range > 0
 
 
 def nominal(plan: Plan) -> Run:
-    """The plan's own paths; who has ended waits where it is."""
+    """The plan's own paths; a robot that has finished waits at its last cell."""
     cells = np.empty((plan.makespan + 1, len(plan.robots)), dtype=np.int32)
     for number, robot in enumerate(plan.robots):
-        path = robot.path[: plan.makespan + 1]  # another planner's may wait at its end
+        path = robot.path[: plan.makespan + 1]  # an external plan may wait at its end
         cells[: len(path), number] = path
         cells[len(path) :, number] = path[-1]
     return Run("plan", cells, np.full(len(plan.robots), NO_STEP))
 
 
 def picked(world: World, plan: Plan, choices: RolloutChoices, total: int) -> tuple[list[Run], list[int], int]:
-    """The runs of PICKS, their ids, and out of how many rollouts they were picked, as `record` picks them."""
+    """The runs of PICKS, their ids, and the number of rollouts considered, as `record` picks them."""
     few = int(np.clip(WORK // ((plan.makespan + 1) * len(plan.robots)), *FEW))
     count = min(total, max(few, min(total // SHARE, MOST)))
     choices = replace(choices, deadline=None)
@@ -136,10 +138,10 @@ def picked(world: World, plan: Plan, choices: RolloutChoices, total: int) -> tup
 
 
 def run_of(name: str, trace: Trace, world: World, choices: RolloutChoices) -> Run:
-    """A rollout as the page plays it."""
+    """A rollout in the form that the page plays."""
     dead = trace.doing == Doing.DEAD
-    told = world.movers is not None
-    movers = ways_of_movers(world, choices.seed, trace.rollout, len(trace.cells)) if told else None
+    moving = world.movers is not None
+    movers = ways_of_movers(world, choices.seed, trace.rollout, len(trace.cells)) if moving else None
     known = world.knowledge if looks(world, choices) else None
     seen = None if known is None else known.first_seen(trace.cells, ~dead)
     return Run(name, trace.cells, np.where(dead.any(axis=0), dead.argmax(axis=0), NO_STEP), movers, seen)

@@ -1,4 +1,4 @@
-"""What `mrac-jax evaluate` says: how much is covered, what it costs, how sure that is; and what its outputs add."""
+"""The report of `mrac-jax evaluate`: coverage, losses, time, their uncertainty, and the outputs' elements."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ from planner.simulator.codes import Outcome
 from planner.tally import counts_by_word
 from planner.world.world import World
 
-# What an evaluation says in whole sentences: coverage, losses, time, and what stands out.
+# The sentences of an evaluation: coverage, losses, time, and the cells that stand out.
 
 ALIKE = 1e-9
-"""By so much of itself the cost of one cell may exceed that of another and be no more."""
+"""Relative difference below which the losses of two cells are equal."""
 
 
 def losses_words(evaluation: Evaluation) -> str:
-    """How many robots are lost, and how often all or none are, as the tally says it, in one sentence.
+    """One sentence on the number of robots lost, and on the probability that all or none are lost.
 
-    The more frequent of "all" and "none" leads; what was never seen is not claimed to be impossible. "No robot can be
-    lost" is said where the plan meets no danger: then nobody ever leaves the nominal run, in either loop. From a state
-    it is about the robots that are left, and a second sentence says how many were lost before.
+    The more frequent of "all" and "none" comes first; an event that was not sampled is not called impossible. "No robot
+    can be lost" is stated only if the plan meets no danger, because then all runs are nominal in both loops. From a
+    mission state the sentence is about the remaining robots, and a second one gives the number lost before.
     """
     gone = 0 if evaluation.plan.state is None else evaluation.plan.state.lost
     said = _losses(evaluation, len(evaluation.plan.robots) - gone, bool(gone))
@@ -58,24 +58,24 @@ def losses_words(evaluation: Evaluation) -> str:
 
 
 def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
-    """Of the robots that were there when the runs began."""
+    """The sentence for the `robots` that were alive at the start of the runs."""
     every, none = (evaluation.shown.left[number] for number in (0, robots))
     left = (" that was left" if robots == 1 else " that were left") if some_before else ""
-    nobody = "no further robot is" if some_before else "no robot is"
-    if float(evaluation.closed_form.stops_by_cell.sum()) == 0:  # a sum, in which no chance is too small to count
-        return f"{nobody[:1].upper()}{nobody[1:-3]} can be lost."
+    no_robot = "no further robot is" if some_before else "no robot is"
+    if float(evaluation.closed_form.stops_by_cell.sum()) == 0:  # a sum, because any probability above 0 counts
+        return f"{no_robot[:1].upper()}{no_robot[1:-3]} can be lost."
     all_of_them = f"All {robots} robots{left} are"
     if robots <= 2:
         all_of_them = f"The robot{left} is" if robots == 1 else f"Both robots{left} are"
     if every.mean == 1:
         return f"{all_of_them} lost in {_each(every.rollouts)}."
     if none.mean == 1:
-        return f"{nobody[:1].upper()}{nobody[1:]} lost in {_any(none.rollouts)}."
+        return f"{no_robot[:1].upper()}{no_robot[1:]} lost in {_any(none.rollouts)}."
     lost_before, lost = len(evaluation.plan.robots) - robots, evaluation.losses
     mean = f"on average {lost_words(lost.mean - lost_before, robots, lost.decimals)}{left}"
-    if lost.half_width > 0.5:  # a decimal more than the interval allows
+    if lost.half_width > 0.5:  # an interval, because the mean has one decimal too many
         mean += f" ({between(lost.ci95[0] - lost_before, lost.ci95[1] - lost_before, 1, robots, 'fewer')})"
-    often = [(all_of_them, "both" if robots == 2 else f"all {robots}", every), (nobody, "none", none)]
+    often = [(all_of_them, "both" if robots == 2 else f"all {robots}", every), (no_robot, "none", none)]
     if robots == 1:
         return f"{all_of_them} lost in {every.share} of runs."
     if every.mean == none.mean == 0:
@@ -91,49 +91,50 @@ def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
 
 
 def home_words(evaluation: Evaluation) -> str:
-    """How many robots come home, and how often all of them do, in one sentence; nothing where they need not."""
+    """One sentence on the number of returned robots and the probability that all return; "" if they need not."""
     home, robots = evaluation.shown.home, len(evaluation.plan.robots)
     if home is None:
         return ""
     every = home.at_least[-1]
     if robots == 1:
-        return f"The robot comes home in {every.share} of runs."
+        return f"The robot returns to base in {every.share} of runs."
     mean = lost_words(home.mean, robots, min(home.digits(), 2))
     mean += "" if mean.endswith("robots") else " robots"
-    return f"On average {mean} come home, all of them in {every.share} of runs."
+    return f"On average {mean} return to base, all of them in {every.share} of runs."
 
 
 def chances_words(evaluation: Evaluation) -> str:
-    """How often every cell is visited, and how long a run takes, in one sentence."""
+    """One sentence on the probability that every cell is visited, and on the mean time."""
     done = evaluation.shown.complete
     where = {0.0: _none(done.rollouts), 1.0: _each(done.rollouts)}.get(done.mean) or f"{done.share} of runs"
     return f"Every accessible cell is visited in {where}; {_time(evaluation)} on average."
 
 
 def _time(evaluation: Evaluation) -> str:
-    """How long a run takes; where robots stop before all is visited, when they last move: then they wait for the end.
+    """The mean time of a run, or of its last move if robots stop early and then wait for the end.
 
-    Robots that come home do not wait. Robots that come to believe another map may wait for it first: nobody counts how
-    long.
+    Robots that return to base do not wait. With map updates or phases robots may wait for a change of the map for an
+    unknown time.
     """
     world, steps, ends = evaluation.world, evaluation.time.mean, evaluation.shown.ends
     waiting = [ends[outcome].mean for outcome in (Outcome.NO_PROGRESS, Outcome.NOT_WORTH_THE_RISK) if outcome in ends]
     changes = world.is_learned or (world.phases is not None and world.phases.told)
     if not waiting or evaluation.plan.comes_home or changes:
         return f"a run takes {world.pace.steps(steps)}"
+    # Robots wait STUCK_AFTER of their moves before such an end; the wait is subtracted.
     paces = () if evaluation.plan.settings is None else evaluation.plan.settings.paces
     return f"the last move is at {world.pace.step(steps - STUCK_AFTER * max(paces, default=1) * sum(waiting))}"
 
 
 def limit_words(evaluation: Evaluation) -> str:
-    """What no strategy exceeds on average on this map, where that is proven and not plain; else nothing."""
+    """The policy-independent upper bound, if it is proven and below 100 %; else ""."""
     if not (most := _most(evaluation)) or is_best(evaluation.plan):
         return ""
     return f"No strategy visits more than {most} on average with this team on this map ({proven(evaluation)})."
 
 
 def _most(evaluation: Evaluation) -> str:
-    """The share that no strategy exceeds on average, rounded upwards; "" where that is not proven, or plain."""
+    """The policy-independent upper bound, rounded up; "" if it is not proven or trivial."""
     limit = evaluation.bounds.any_strategy
     if limit is None or limit.cells > evaluation.tally.accessible - 0.005:
         return ""
@@ -141,12 +142,12 @@ def _most(evaluation: Evaluation) -> str:
 
 
 def proven(evaluation: Evaluation) -> str:
-    """That the bound for every strategy is, and what it does not know of what was asked."""
+    """The status of the policy-independent upper bound, and the requested limits that it ignores."""
     unknown = []
     if moves_left(evaluation.plan) is not None:
-        unknown.append("of the range it knows only which cells are too far")
+        unknown.append("of the range it uses only which cells are too far")
     if evaluation.choices.deadline is not None:
-        unknown.append("it does not know the deadline")
+        unknown.append("it ignores the deadline")
     return "; ".join(["proven", *unknown])
 
 
@@ -163,32 +164,33 @@ def _none(runs: int) -> str:
 
 
 def headline(evaluation: Evaluation) -> str:
-    """What the plan achieves and what it loses, in one sentence; % is a share of the accessible cells throughout it.
+    """The summary: coverage and losses in one sentence; every % in it is a share of the accessible cells.
 
-    Of a policy that was searched for, with its name and what no policy exceeds; else with what 19 of 20 runs reach,
-    where there are enough rollouts to tell. `losses_words` has the chances in percent.
+    For the result of a policy search it names the policy and the upper bound; otherwise the coverage that 19 of 20 runs
+    reach, if there are enough rollouts. Probabilities in percent are in `losses_words`.
     """
     robots, least = len(evaluation.plan.robots), evaluation.shown.assured
     if evaluation.certain:
         return certain_headline(evaluation)
     shown = without_level(evaluation.visited.said(100.0, " %")) + " of the accessible cells on average"
-    who, lost = counted(robots, "robot visits", "robots visit"), _lost_clause(evaluation)
+    subject, lost = counted(robots, "robot visits", "robots visit"), _lost_clause(evaluation)
     if is_best(evaluation.plan) and (settings := evaluation.plan.settings) is not None:
         most = _most(evaluation)
         limit = f"; no strategy exceeds {most} on average ({proven(evaluation)})" * bool(most)
-        return f"{who} {shown} with {policy_words(settings)}, {lost}{limit}."
+        return f"{subject} {shown} with {policy_words(settings)}, {lost}{limit}."
+    # If the mean is exactly 100 %, the quantile adds nothing.
     adds = least is not None and not shown.startswith("100 % (exact)")
     runs = f" (at least {assured_words(evaluation)} in 19 of 20 runs)" * adds
-    return f"{who} {shown}{runs} {lost}."
+    return f"{subject} {shown}{runs} {lost}."
 
 
 def assured_words(evaluation: Evaluation) -> str:
-    """What 19 of 20 runs reach, rounded downwards, as it is a lower bound."""
+    """The coverage that 19 of 20 runs reach, rounded down as a lower bound."""
     return floored(Fraction(evaluation.shown.assured or 0, evaluation.tally.accessible))
 
 
 def _lost_clause(evaluation: Evaluation) -> str:
-    """ "and lose all 8 robots in almost every run (7.99 on average)": how often without a %, which is coverage here."""
+    """ "and lose all 8 robots in almost every run (7.99 on average)": frequencies without %, which is coverage here."""
     gone = 0 if evaluation.plan.state is None else evaluation.plan.state.lost
     robots, losses = len(evaluation.plan.robots) - gone, evaluation.losses
     every, none = (evaluation.shown.left[number] for number in (0, robots))
@@ -214,7 +216,7 @@ def _lost_clause(evaluation: Evaluation) -> str:
 
 
 def _often(chance: Chance) -> str:
-    """A chance as a count of runs: "in 45 of 100 runs", "in almost every run", "in each of the 20 runs"."""
+    """A probability as a count of runs: "in 45 of 100 runs", "in almost every run", "in each of the 20 runs"."""
     if chance.mean == 1:
         return f"in {_each(chance.rollouts)}"
     if 0 < chance.rollouts <= 100:
@@ -228,18 +230,18 @@ def _often(chance: Chance) -> str:
 
 
 def certain_headline(evaluation: Evaluation) -> str:
-    """The answer where nothing can happen: one run is all of them."""
+    """The summary if all runs are equal."""
     tally, robots = evaluation.tally, len(evaluation.plan.robots)
     covered, steps = evaluation.closed_form.visited / tally.accessible, int(np.flatnonzero(tally.time)[0])
-    who, long = counted(robots, "robot visits", "robots visit"), evaluation.world.pace.steps(steps)
+    subject, long = counted(robots, "robot visits", "robots visit"), evaluation.world.pace.steps(steps)
     return (
-        f"{who} {percent(covered, 2)} of the accessible cells in {long} and none is lost: no cell on the "
+        f"{subject} {percent(covered, 2)} of the accessible cells in {long} and none is lost: no cell on the "
         "way is dangerous, so every run is the same and 1 rollout is enough."
     )
 
 
 def interval_words(evaluation: Evaluation) -> str:
-    """How sure the figures are that are said without their level; nothing where none is."""
+    """The meaning of ± and of ranges in brackets, if the sentences contain them; else ""."""
     said = headline(evaluation) + gain_words(evaluation)
     half = "± is half the width of a 95 % interval." * ("±" in said)
     ends = re.search(r"\([\d.,]+ (\.\. [\d.,]+|or more|or less)\)", said) is not None
@@ -247,7 +249,7 @@ def interval_words(evaluation: Evaluation) -> str:
 
 
 def gain_words(evaluation: Evaluation) -> str:
-    """What taking over from the lost brings, where that is known; else nothing."""
+    """The gain from reassigning the areas of lost robots, if it is known; else ""."""
     alone = len(evaluation.plan.robots) == 1
     if alone or evaluation.loop == "open" or not evaluation.closed_form.is_known:
         return ""
@@ -256,23 +258,23 @@ def gain_words(evaluation: Evaluation) -> str:
     more = Estimate(covered.mean - kept, covered.se, (covered.ci95[0] - kept, covered.ci95[1] - kept))
     gain = without_level((more if more.mean >= 0 else more.negated).said(100, " points"))
     return (
-        f"Giving the areas of lost robots to the others {'gains' if more.mean >= 0 else 'loses'} {gain} over robots "
-        f"that follow their own plans alone ({percent(kept)}, exact)."
+        f"Reassigning the areas of lost robots {'gains' if more.mean >= 0 else 'loses'} {gain} over robots that only "
+        f"follow their own plans ({percent(kept)}, exact)."
     )
 
 
 def quantile_words(evaluation: Evaluation) -> str:
-    """What the quantiles of the table are beside the headline's; nothing where that has none."""
+    """The difference between the quantiles of the table and that of the summary; "" if the summary has none."""
     if " in 19 of 20 runs" not in headline(evaluation) or evaluation.shown.visited.known:
         return ""
     return (
-        'The table has the quantiles of the runs that were done; "in 19 of 20 runs" in the first line holds with 95 % '
-        "confidence."
+        'The table gives sample quantiles; "in 19 of 20 runs" in the first line is a bound with 95 % confidence for '
+        "all runs."
     )
 
 
 def cell_words(evaluation: Evaluation) -> Iterator[str]:
-    """Where robots are lost, and what is missed."""
+    """Sentences on the cells with the highest losses, and on the cells with low coverage."""
     world, lost, chance = evaluation.ground, evaluation.expected.stops_by_cell, evaluation.expected.visited_by_cell
     order, total = np.argsort(-lost, kind="stable"), float(lost.sum())
     if total > 0:
@@ -284,6 +286,7 @@ def cell_words(evaluation: Evaluation) -> Iterator[str]:
         elif lost[order[1]] >= lost[order[0]] * (1 - ALIKE):
             said = f"No cell costs more robots than {where}"
         said += f": {lost[order[0]]:.3g} a run"
+        # 1e-12: by rounding, a cumulative sum may fall short of exactly one half.
         few = int(np.searchsorted(np.cumsum(lost[order]), 0.5 * total - 1e-12)) + 1
         take = "takes" if few == 1 else "take"
         rest = f". {counted(few, 'cell')} of the {dangerous:,} where robots are lost {take} half of all losses."
@@ -303,21 +306,21 @@ def cell_words(evaluation: Evaluation) -> Iterator[str]:
 
 
 def rest_words(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
-    """What a state leaves, and what a range cuts off: a sentence on each."""
+    """Sentences on the state that the plan resumes, and on the cells out of range."""
     plan, cells = evaluation.plan, evaluation.tally.accessible
     kinds, robots = rest.kinds[evaluation.accessible], counted(len(plan.robots), "robot")
     if plan.state is not None:
         before = int((kinds == BEFORE).sum())
         more = evaluation.visited.mean * cells - before
         yield (
-            f"By {evaluation.world.pace.step(plan.state.step)}, where this goes on, {before:,} of {cells:,} accessible "
-            f"cells ({share(before, cells)}) {'was' if before == 1 else 'were'} visited and {plan.state.lost} of "
-            f"{robots} lost. Of the {cells - before:,} left {more:,.1f} are visited on average."
+            f"By {evaluation.world.pace.step(plan.state.step)}, where this plan resumes, {before:,} of {cells:,} "
+            f"accessible cells ({share(before, cells)}) {'was' if before == 1 else 'were'} visited and "
+            f"{plan.state.lost} of {robots} lost. Of the {cells - before:,} left {more:,.1f} are visited on average."
         )
     if rest.limited:
         beyond = int((kinds == BEYOND).sum())
-        whom = "some robot to visit and come home" if rest.returns else "the moves of some robot"
-        far = f"Every accessible cell is near enough for {whom}."
+        reason = "some robot to visit and return" if rest.returns else "the moves of some robot"
+        far = f"Every accessible cell is near enough for {reason}."
         if beyond:
             many = counted(beyond, "accessible cell")
             are = "is" if beyond == 1 else "are"
@@ -326,14 +329,14 @@ def rest_words(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
         if plan.comes_home:
             return
         ended, team = rest.ended, len(plan.robots)
-        who = f"{ended} of {robots} use" if ended > 1 else f"{ended} of {robots} uses" if ended else "no robot uses"
+        users = f"{ended} of {robots} use" if ended > 1 else f"{ended} of {robots} uses" if ended else "no robot uses"
         if ended == team:
-            who = {1: "the robot uses", 2: "both robots use"}.get(team, f"all {robots} use")
+            users = {1: "the robot uses", 2: "both robots use"}.get(team, f"all {robots} use")
         up = "up their range and stay where they are" if ended > 1 else "up its range and stays where it is"
-        yield f"In the run in which nobody is lost, {who} {up if ended else 'up its range'}."
+        yield f"In the run without losses, {users} {up if ended else 'up its range'}."
 
 
-# The answer as the JSON object that `mrac-jax evaluate` prints (SPEC section 9).
+# The result as the JSON object that `mrac-jax evaluate` prints (SPEC section 9).
 
 
 def to_json(evaluation: Evaluation) -> Json:
@@ -394,7 +397,7 @@ def to_json(evaluation: Evaluation) -> Json:
 
 
 def _control_json(evaluation: Evaluation) -> Json | None:
-    """By figure: how many times smaller the variance is, and what a nat of S weighs where; None: no control."""
+    """By figure: ratio of variances without and with the control variate, and its slopes; None without one."""
     found = evaluation.control
     said = {"gain": {key: one.gain for key, one in found.items()}, "weights": {k: v.weights for k, v in found.items()}}
     return said if found else None
@@ -427,7 +430,7 @@ def _bounds_json(evaluation: Evaluation) -> Json:
 
 
 def _open_json(exact: OpenLoopExact) -> Json:
-    """The open loop's expected values, whichever loop was evaluated; NaN what is not known."""
+    """The open loop's expected values, for either evaluated loop; NaN if not known."""
     return {
         "visited": exact.visited,
         "survived": exact.survived,
@@ -438,7 +441,7 @@ def _open_json(exact: OpenLoopExact) -> Json:
 
 
 def _closed_json(closed: ClosedTruth | None) -> Json | None:
-    """The closed loop's expected values where they are known exactly, and how."""
+    """The closed loop's exact expected values, and how they are known; None if they are not."""
     if closed is None:
         return None
     return closed.further | {
@@ -452,14 +455,16 @@ def _closed_json(closed: ClosedTruth | None) -> Json | None:
 
 
 def _known_json(truth: Truth) -> float | list[float]:
-    """A value, or the two between which it is certain to be."""
+    """A value, or its certain lower and upper bounds."""
     return truth.value if truth.low == truth.high else [truth.low, truth.high]
 
 
 def report(evaluation: Evaluation, theory: bool = False, bounds: bool = True) -> Report:
-    """The answer beside the map and the plan, the figures behind it, then why.
+    """The report of an evaluation: the answer with the map and the plan, the figures, the details.
 
-    `theory`: formulas, unfolded. `bounds`: False leaves out bounds and formulas, which may take seconds to work out.
+    Args:
+        evaluation: the result. theory: show the formulas in full.
+        bounds: False omits bounds and formulas, whose computation may take seconds.
     """
     world, plan, certain, outputs = evaluation.world, evaluation.plan, evaluation.certain, evaluation.blocks
     rest, looked_at = evaluation.rest, _looked_at(evaluation)
@@ -489,7 +494,7 @@ def report(evaluation: Evaluation, theory: bool = False, bounds: bool = True) ->
             *([formulas_part(evaluation, theory)] if bounds and (theory or not certain) else []),
         ],
         notes=evaluation.notes,
-        warnings=["Interrupted: this is what was done until then."] * evaluation.partial,
+        warnings=["Interrupted: the rollouts done so far are shown."] * evaluation.partial,
         settings=looked_at | _settings(evaluation),
         last=_in_lines(evaluation, looked_at),
         pictures=_pictures(evaluation, rest),
@@ -500,37 +505,38 @@ def report(evaluation: Evaluation, theory: bool = False, bounds: bool = True) ->
 
 
 def _looked_at(evaluation: Evaluation) -> dict[str, str]:
-    """What was evaluated, and how."""
+    """The input of the evaluation, by name."""
     cells, plan, tally, world = evaluation.cells, evaluation.plan, evaluation.tally, evaluation.world
     ground = f" ({_area(cells['accessible'] * world.cell_size**2)})" if world.cell_size != 1 else ""
     loop = f"{evaluation.loop} loop"
     tree = evaluation.closed.tree if isinstance(evaluation.closed, TreeTruth) else None
     whole = ""
     if tree is not None:
-        whole = f"exact: all that can happen, {counted(tree.histories, 'branch', 'branches')}; and "
+        whole = f"exact: all possible histories, {counted(tree.histories, 'branch', 'branches')}; and "
     return {
         "map": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "
         f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
-        **({} if world.doubt is None else {_of_doubt(world): world.doubt.said}),
-        **({} if world.knowledge is None else {"told": world.knowledge.said}),
-        **({"what p means": evaluation.p_means} if evaluation.p_means else {}),
+        **({} if world.doubt is None else {_uncertainty_name(world): world.doubt.said}),
+        **({} if world.knowledge is None else {"robots' map": world.knowledge.said}),
+        **({"meaning of p": evaluation.p_means} if evaluation.p_means else {}),
         "plan": f"{plan.origin if plan.is_foreign else plan_words(plan)}, {span_words(plan, world.pace)}"
-        + ("" if world.knowledge is None else ", as the robots believe the map"),
+        + ("" if world.knowledge is None else ", by the prior map"),
         "rollouts": f"{whole}{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, "
         f"{evaluation.engine_said}",
     }
 
 
-def _of_doubt(world: World) -> str:
-    """What `World.doubt` is called."""
-    return "movers" if world.movers else "phases" if world.phases else "in doubt"
+def _uncertainty_name(world: World) -> str:
+    """The name of `World.doubt` in the report."""
+    return "moving threats" if world.movers else "phases" if world.phases else "map uncertainty"
 
 
 def _in_lines(evaluation: Evaluation, looked_at: Mapping[str, str]) -> list[str]:
-    """The same for a terminal, and how fast rollouts were, if there is more than one to tell."""
+    """The input as lines for a terminal, and the rate of the rollouts if there are several."""
     plan, rate = evaluation.plan, evaluation.tally.rollouts / max(evaluation.seconds, 1e-9)
-    before = {"map": f"{evaluation.world.source}: ", "in doubt": "in doubt: ", "plan": "plan: " * (not plan.is_foreign)}
-    lines = [before.get(name, "") + what for name, what in looked_at.items()]
+    before = {"map": f"{evaluation.world.source}: ", "map uncertainty": "map uncertainty: ",
+              "plan": "plan: " * (not plan.is_foreign)}  # fmt: skip
+    lines = [before.get(name, "") + value for name, value in looked_at.items()]
     return lines if evaluation.certain else [*lines[:-1], f"{lines[-1]}: {rate:,.0f} a second"]
 
 
@@ -539,7 +545,7 @@ def _area(square_metres: float) -> str:
 
 
 def _settings(evaluation: Evaluation) -> dict[str, object]:
-    """What else the figures depend on, and how the map was read and the plan was made."""
+    """Further settings that affect the figures, and notes of the map's reader and of the planner."""
     world, plan = evaluation.world, evaluation.plan
     out: dict[str, object] = {"map's name": world.name, "map's SHA-256": f"{world.sha256[:16]}..."}
     out |= {} if plan.settings is None else plan.settings.shown(world.pace)
@@ -550,7 +556,7 @@ def _settings(evaluation: Evaluation) -> dict[str, object]:
 
 
 def _key_figures(evaluation: Evaluation) -> list[KeyFigure]:
-    """The few to take away."""
+    """The key figures."""
     found, cells, seen = evaluation.shown, evaluation.tally.accessible, evaluation.visited
     visited, between = seen.columns(100.0, 100)
     (complete, likely), (time, steps) = found.complete.columns(), evaluation.time.columns()
@@ -561,7 +567,7 @@ def _key_figures(evaluation: Evaluation) -> list[KeyFigure]:
         *([] if found.assured is None else [runs]),
         KeyFigure(f"{complete} %", "chance to visit every cell", in_unit(likely)),
         team_figure(evaluation.losses, evaluation.losses.robots),
-        *([] if found.home is None else [team_figure(found.home, found.home.robots, "robots home at the end")]),
+        *([] if found.home is None else [team_figure(found.home, found.home.robots, "robots back at base")]),
         KeyFigure(
             f"{time} step{'s' * (time != '1')}", "mean time", steps + evaluation.world.pace.also(evaluation.time.mean)
         ),
@@ -569,7 +575,7 @@ def _key_figures(evaluation: Evaluation) -> list[KeyFigure]:
 
 
 def _pictures(evaluation: Evaluation, rest: Rest | None) -> Mapping[str, Callable[[], Pictured]]:
-    """What draws each picture, by file name."""
+    """The function that draws each picture, by file name."""
     out: dict[str, Callable[[], Pictured]] = {
         "world.png": lambda: charts.world_drawn(evaluation),
         "covered.png": lambda: charts.covered(evaluation),

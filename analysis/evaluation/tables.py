@@ -1,4 +1,4 @@
-"""The figures behind an evaluation's answer as tables and charts: chances, losses, time and coverage; cells; robots."""
+"""Tables and charts of an evaluation: probabilities, losses, time and coverage; cells; robots; formulas; maps."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ if TYPE_CHECKING:
     from analysis.page.maps import CellLayer
 
 
-# The figures behind an evaluation's answer: chances, losses, time and coverage; the worst cells; the robots.
+# Tables of an evaluation: probabilities, losses, time and coverage; the worst cells; the robots.
 
 LISTED = 10
-"""Cells that are worst in a way."""
+"""Rows of the tables of the worst cells."""
 SAID_BY_COVERAGE = (Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST, Outcome.END_OF_PATHS)
-"""Outcomes whose chances other rows of the table give."""
+"""Outcomes whose probabilities appear in other rows of the table."""
 
 
 def answer_tables(evaluation: Evaluation) -> list[Table]:
-    """The figures behind the answer: chances and time, coverage, what outputs add."""
+    """The tables of the figures: probabilities and time, coverage, and those of the outputs."""
     rows = [row for found in evaluation.blocks for row in found.rows]
     chances = [] if evaluation.certain else [_chances_table(evaluation)]
     coverage = [] if evaluation.certain and not rows else [_coverage_table(evaluation, rows)]
@@ -44,7 +44,7 @@ def answer_tables(evaluation: Evaluation) -> list[Table]:
 
 
 def _table(evaluation: Evaluation, title: str, columns: Sequence[str]) -> Table:
-    """A table with a column for names, `columns`, and the open loop's exact values: last where they only compare."""
+    """A table with a column of names, `columns`, and the open loop's exact values (last in the closed loop)."""
     named = ("exact", *columns) if evaluation.loop == "open" else (*columns, "open loop")
     return make_table(("", *named), title)
 
@@ -53,8 +53,8 @@ def _add(table: Table, evaluation: Evaluation, name: str, exact: str, shown: Seq
     table.add_row(name, *((exact, *shown) if evaluation.loop == "open" else (*shown, exact)))
 
 
-def _beside(evaluation: Evaluation) -> Figures:
-    """Of the open loop what the rollouts tell, as its exact values have a column of their own."""
+def _shown_figures(evaluation: Evaluation) -> Figures:
+    """In the open loop the sampled figures, because the exact values have a separate column."""
     return evaluation.figures if evaluation.loop == "open" else evaluation.shown
 
 
@@ -62,7 +62,7 @@ def _coverage_table(evaluation: Evaluation, more: Sequence[Row]) -> Table:
     """Coverage in percent, both meanings; and the outputs' rows."""
     columns = ("mean", "95 % interval", "5 %", "median", "95 %")
     table = _table(evaluation, "Coverage, % of the accessible cells", columns)
-    cells, found = evaluation.cells, _beside(evaluation)
+    cells, found = evaluation.cells, _shown_figures(evaluation)
     of = {"": cells["accessible"]} | (
         {} if cells["free"] == cells["accessible"] else {", of all free cells": cells["free"]}
     )
@@ -77,8 +77,8 @@ def _coverage_table(evaluation: Evaluation, more: Sequence[Row]) -> Table:
 
 
 def _chances_table(evaluation: Evaluation) -> Table:
-    """What a decision hangs on: chances of coverage, losses, time."""
-    found, exact = _beside(evaluation), evaluation.closed_form
+    """The probabilities of coverage and of outcomes, losses, and time."""
+    found, exact = _shown_figures(evaluation), evaluation.closed_form
     named = ("sampled" if found.visited.known is None else "chance", "95 % interval")
     table = _table(evaluation, "Chances in %, losses and time", named)
     chances = {f"chance to visit {100 * x:g} % or more": found.visited.at_least[x] for x in AT_LEAST[:-1]}
@@ -88,14 +88,14 @@ def _chances_table(evaluation: Evaluation) -> Table:
     for name, chance in chances.items():
         _add(table, evaluation, name, "", chance.columns())
     known = in_percent(exact.some_left, 2)
-    _add(table, evaluation, "chance that a robot is left at the end", known, found.some_left.columns())
+    _add(table, evaluation, "chance that a robot survives", known, found.some_left.columns())
     robots = len(evaluation.plan.robots)
     known = "" if math.isnan(exact.expected_losses) else f"{of_all(exact.expected_losses, robots)} of {robots}"
     _add(table, evaluation, "robots lost", known, found.losses.columns())
     if found.home is not None:
-        _add(table, evaluation, "robots home", "", losses_shown(found.home, robots))
+        _add(table, evaluation, "robots back at base", "", losses_shown(found.home, robots))
         for least, chance in found.home.shown.items():
-            _add(table, evaluation, f"chance that {at_least_words(least, robots)} home", "", chance.columns())
+            _add(table, evaluation, f"chance that {at_least_words(least, robots)} back at base", "", chance.columns())
     _add(table, evaluation, "time, steps", known_words(exact.mean_time, "{:,.1f}"), found.time.columns())
     if pace := evaluation.world.pace:
         known = known_words(pace.minutes * exact.mean_time, "{:,.1f}")
@@ -104,7 +104,7 @@ def _chances_table(evaluation: Evaluation) -> Table:
 
 
 def worst_cells(evaluation: Evaluation) -> list[Table]:
-    """The cells that cost most robots, and those that are covered least."""
+    """The cells with the highest losses, and those with the lowest coverage."""
     world, expected = evaluation.ground, evaluation.expected
     accessible = np.flatnonzero(evaluation.accessible)
     chance, lost, threat = expected.visited_by_cell, expected.stops_by_cell, world.threat.ravel()
@@ -121,7 +121,7 @@ def worst_cells(evaluation: Evaluation) -> list[Table]:
 
 
 def worst_of(lost: NDArray[np.float64], most: int) -> NDArray[np.int64]:
-    """The cells `[up to most]` that cost most robots, the worst first; ties by index."""
+    """The cells `[up to most]` with the highest losses, in descending order; ties by index."""
     order = np.argsort(-lost, kind="stable")[:most]
     return order[lost[order] > 0]
 
@@ -142,7 +142,7 @@ def robots_table(evaluation: Evaluation) -> Table:
     return table
 
 
-# The paper's formulas for an evaluated plan, held against the open loop's exact values.
+# The paper's formulas for an evaluated plan, compared with the open loop's exact values.
 
 FORMULA_WORDS = {
     Verdict.HOLDS: ("holds", "hold"),
@@ -160,7 +160,7 @@ WORDS = {
 
 
 def formulas_part(evaluation: Evaluation, asked: bool) -> Part:
-    """The section on them: folded away on a page, and left out on a terminal, unless somebody `asked`."""
+    """The section on the formulas: collapsed on a page, and omitted on a terminal, unless `asked`."""
     title, said = "The paper's formulas", formulas_words(evaluation) + "."
     if not evaluation.settled:
         return Part(title, notes=[said], aside=not asked)
@@ -171,40 +171,40 @@ def formulas_part(evaluation: Evaluation, asked: bool) -> Part:
 
 
 def formula_counts(evaluation: Evaluation) -> dict[Verdict, int]:
-    """How many of the paper's formulas, every reading counted, have each verdict against the open loop."""
-    judged = [evaluation.verdicts[key] for key in FORMULAS if FORMULAS[key].paper]
-    return {verdict: judged.count(verdict) for verdict in FORMULA_WORDS}
+    """The number of formulas, each reading counted, by verdict against the open loop."""
+    found = [evaluation.verdicts[key] for key in FORMULAS if FORMULAS[key].paper]
+    return {verdict: found.count(verdict) for verdict in FORMULA_WORDS}
 
 
 def formulas_words(evaluation: Evaluation) -> str:
-    """One line: how many of the paper's formulas hold on this plan and how many fail."""
+    """One sentence: the number of formulas that hold on this plan and of those that fail."""
     if not evaluation.settled:
         return (
-            "No formula and no bound of the paper is given: they presume one known map, each of whose visits stops a "
-            "robot with the cell's p, whatever came before"
+            "The paper's formulas and bounds are omitted: they assume one known map and independent visits, each of "
+            "which destroys the robot with the cell's p"
         )
     if evaluation.plan.state is not None:
-        return "The paper's formulas are left out: they are about whole missions, this is the rest of one"
+        return "The paper's formulas are omitted: they apply to whole missions, and this plan resumes one"
     counts = formula_counts(evaluation)
     said = [
         f"{number} {FORMULA_WORDS[verdict][number != 1]}"
         for verdict, number in counts.items()
         if number or verdict in (Verdict.HOLDS, Verdict.FAILS)
     ]
-    return f"Of the paper's {sum(counts.values())} formulas for the open loop, every reading counted, {', '.join(said)}"
+    return f"Of the paper's {sum(counts.values())} formulas for the open loop, counting all readings, {', '.join(said)}"
 
 
 def formulas_table(evaluation: Evaluation) -> Table:
-    """The paper's formulas for this plan, in cells, and whether each holds against the open loop's exact values."""
+    """The formulas for this plan, in cells, and whether each holds against the open loop's exact values."""
     bounds, exact = evaluation.formulas, evaluation.closed_form
     title, said = "The paper's formulas against the open loop, in cells", ("", "as a bound")
     table = make_table(("", *MEANINGS, "as a bound"), title, left=said)
     table.add_row("exact expected coverage", f"{exact.visited:.2f}", f"{exact.survived:.2f}", "")
     above, limit = WORDS[evaluation.verdicts["ideal_team"]], evaluation.bounds.any_strategy
     if limit is not None:
-        table.add_row("no strategy exceeds on average (proven)", f"{limit.cells:.2f}", "", "")
-    table.add_row("ideal of the team: the same, of any map", f"{bounds.ideal_team:.2f}", "", above)
-    table.add_row("ideal of one robot, eq. (7)", f"{bounds.ideal_eq7:.2f}", "", "")
+        table.add_row("policy-independent upper bound (proven)", f"{limit.cells:.2f}", "", "")
+    table.add_row("upper bound for the team on any map", f"{bounds.ideal_team:.2f}", "", above)
+    table.add_row("upper bound for one robot, eq. (7)", f"{bounds.ideal_eq7:.2f}", "", "")
     alone = [sum(getattr(gain, meaning) for gain in bounds.eq4) for meaning in MEANINGS]
     table.add_row("eq. (4), summed over robots", *(f"{value:.2f}" for value in alone), "")
     if bounds.theorem3_visited is not None and bounds.theorem3_survived is not None:
@@ -223,27 +223,28 @@ def formulas_table(evaluation: Evaluation) -> Table:
 
 
 def eq2_words(evaluation: Evaluation) -> str:
-    """Eq. (2) is about a chance, not about cells: a line below the table of formulas."""
+    """The result for eq. (2), a probability and not a number of cells, as a line below the table of formulas."""
     bounds, verdict = evaluation.formulas, WORDS[evaluation.verdicts["eq2_printed"]]
     return (
-        f"eq. (2) as printed, the chance that a robot is left: {percent(bounds.eq2_printed, 2)}, "
+        f"eq. (2) as printed, the probability that a robot survives: {percent(bounds.eq2_printed, 2)}, "
         f"exactly {percent(bounds.team_survival, 2)} ({verdict})."
     )
 
 
-# An evaluation's charts: expected coverage over time, and how far a single run may be from the mean.
+# Charts of an evaluation: expected coverage over time, and the distribution over single runs.
 
 MOST_BINS = 60
 STEPS = 301
-"""Steps of a curve over time."""
+"""Points of a curve over time."""
 
 
 def over_time(evaluation: Evaluation) -> Chart:
-    """Expected coverage by the end of each step, with the curves and marks of outputs."""
+    """Expected coverage by the end of each step, with the curves and marks of the outputs."""
     expected, cells, closed = evaluation.expected, evaluation.tally.accessible, evaluation.loop == "closed"
     makespan, exact = evaluation.plan.makespan, evaluation.closed_form
     marks = [mark for found in evaluation.blocks for mark in found.marks]
     last = evaluation.last_shown
+    # A mark far beyond the end would compress the curves, and is omitted.
     last = max([last, *(int(step) for step, _ in marks if step <= 2 * last)])
     more = [_until(last, one) for found in evaluation.blocks for one in found.curves]
     steps = np.asarray(more[0].x) if more else np.unique(np.linspace(0, last, STEPS).round().astype(np.int64))
@@ -266,15 +267,15 @@ def over_time(evaluation: Evaluation) -> Chart:
         y_name="share of the accessible cells, %",
         unit="%",
         at_x=((makespan, "makespan of the plan" if closed else "makespan"), *(m for m in marks if m[0] <= last)),
-        at_y=((100 * evaluation.formulas.ideal_team / cells, "ideal of the team"),) if evaluation.settled else (),
+        at_y=((100 * evaluation.formulas.ideal_team / cells, "upper bound, team"),) if evaluation.settled else (),
         interval="5 % to 95 % of single rollouts",
-        note="visited: entered by any robot, the one stopped there included; survived: entered by a robot that was "
-        "not stopped there.",
+        note="visited: entered by any robot, also one that is lost there; survived: entered by a robot that survives "
+        "the visit.",
     )
 
 
 def _until(last: int, series: Series) -> Series:
-    """A curve up to a step."""
+    """A curve truncated at step `last`."""
     shown = np.asarray(series.x) <= last
     x, y, low, high = (None if line is None else np.asarray(line)[shown] for line in
                        (series.x, series.y, series.low, series.high))  # fmt: skip
@@ -283,7 +284,7 @@ def _until(last: int, series: Series) -> Series:
 
 
 def over_time_words(evaluation: Evaluation) -> str:
-    """How soon half and nine tenths of the final coverage are reached."""
+    """The steps at which half and nine tenths of the final coverage are reached."""
     curve = evaluation.expected.visited_curve
     half, most = (int(np.searchsorted(curve, share * curve[-1] - 1e-9)) for share in (0.5, 0.9))
     mean, step = " mean" if evaluation.loop == "open" else "", evaluation.world.pace.step
@@ -291,14 +292,14 @@ def over_time_words(evaluation: Evaluation) -> str:
 
 
 def distribution(evaluation: Evaluation, *, picture: bool = False) -> Sequence[Chart]:
-    """The chance of at least so much coverage, with its intervals; and the histogram.
+    """The probability of at least each coverage, with intervals; and the histogram.
 
-    picture: it has room for quantiles and what is possible at all beside the mean.
+    `picture`: mark quantiles and bounds too, not only the mean.
     """
     found, cells = evaluation.figures.visited, evaluation.tally.accessible
     (at, chances), of = found.curve, "rollouts" if found.known is None else "runs"
     sure = Chart(
-        title="Chance to visit at least so much",
+        title="Chance of at least this coverage",
         series=(Series.of("chance", 100 * at / cells, chances),),
         x_name="at least this share of the accessible cells, %",
         y_name="chance, %",
@@ -324,7 +325,7 @@ def distribution(evaluation: Evaluation, *, picture: bool = False) -> Sequence[C
 
 
 def marks(evaluation: Evaluation) -> dict[str, float]:
-    """What the distribution is read against, in cells, from what was sampled to what is possible at all."""
+    """Reference values of the distribution, in cells: quantiles, means and upper bounds."""
     found, closed, exact = evaluation.figures, evaluation.loop == "closed", evaluation.closed_form
     ends = {q: value for q, value in found.visited.quantiles.items() if q != 0.5 and not math.isnan(value)}
     of, mean = ("rollouts", "mean of rollouts") if found.visited.known is None else ("runs", "mean, exact")
@@ -333,19 +334,20 @@ def marks(evaluation: Evaluation) -> dict[str, float]:
     if exact.is_known:
         out["open loop, exact" if closed else "exact mean"] = exact.visited
     if evaluation.settled:
-        ideals = {"ideal of the team": evaluation.formulas.ideal_team} if len(evaluation.plan.robots) > 1 else {}
-        out |= ideals | {"ideal of one robot, eq. (7)": evaluation.formulas.ideal_eq7}
+        ideals = {"upper bound, team": evaluation.formulas.ideal_team} if len(evaluation.plan.robots) > 1 else {}
+        out |= ideals | {"upper bound, one robot, eq. (7)": evaluation.formulas.ideal_eq7}
     return {f"{name}: {percent(value / found.visited.cells)}": value for name, value in out.items()}
 
 
 def histogram_bins(counts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Edges in cells of equal bins of whole cells that hold every one of `counts` by cells covered `[cells + 1]`.
+    """Edges, in cells, of equal bins that hold all of `counts` `[cells + 1]` (rollouts by cells covered).
 
-    The last ends with the most covered. Where that is the least too, one bin is a fortieth of all cells, to be seen.
+    The last bin ends at the largest coverage. A single value gets a bin of a fortieth of all cells, to be visible.
     """
     held, cells = np.flatnonzero(counts), len(counts) - 1
     low, high = int(held[0]), int(held[-1])
     bins = int(np.clip(2.5 * int(counts.sum()) ** (1 / 3), 8, MOST_BINS))
+    # Bins of whole cells: each holds the same number of possible values.
     width = -(-(high - low + 1) // bins) if high > low else max(1, cells // 40)
     top = (high if high > low else min(high + width // 2, cells)) + 0.5
     number = -(-(high - low + 1) // width)
@@ -353,23 +355,23 @@ def histogram_bins(counts: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def bin_counts(counts: NDArray[np.int64], edges: NDArray[np.float64]) -> NDArray[np.int64]:
-    """What of `counts` `[cells + 1]` is in each bin, int64 `[len(edges) - 1]`; none is lost."""
+    """The sum of `counts` `[cells + 1]` in each bin, int64 `[len(edges) - 1]`."""
     return np.histogram(np.arange(len(counts)), bins=edges, weights=counts)[0].round().astype(np.int64)
 
 
-# An evaluation cell by cell: its maps, for the page and for pictures, and the cells that stand out.
+# Maps of an evaluation by cell, for the page and for pictures.
 
 CELLS = "cells"
-"""The id of the maps cell by cell, whose pictures and values the head of the page shows too."""
+"""HTML id of the maps by cell; the first map of the page shows their values too."""
 OUTLINED = 5
-"""Cells that cost most robots, on their picture."""
+"""Number of cells that are outlined in the picture of the losses."""
 NO_KIND = -1
 MOST_PHASES = 8
-"""Phases whose threats have a map of their own."""
+"""Most phases whose threats are shown as a map."""
 
 
 def maps(evaluation: Evaluation) -> CellMaps:
-    """Threat, chance covered, robots lost, what is left of the risk, what outputs add, and the areas."""
+    """Threat, probability of coverage, robots lost, residual risk, the outputs' layers, and the areas."""
     own = evaluation.layers
     more = [make() for found in evaluation.blocks for make in found.layers.values()]
     layers = [*threats(evaluation), own.chance, own.losses, own.left, *more, *own.areas]
@@ -377,7 +379,7 @@ def maps(evaluation: Evaluation) -> CellMaps:
 
 
 def threats(evaluation: Evaluation) -> list[CellLayer]:
-    """What robots plan on at first; where threats change, those of each phase too, of many the first few."""
+    """The threat by which robots plan at first; for changing threats, also that of each of the first phases."""
     from analysis.page.maps import threat_layer
 
     own, world, phases = evaluation.layers.threat, evaluation.ground, evaluation.ground.phases
@@ -390,33 +392,33 @@ def threats(evaluation: Evaluation) -> list[CellLayer]:
 
 
 def rest_map(evaluation: Evaluation, rest: Rest) -> CellMaps:
-    """What is to do, what was done, what is too far, and the chance to cover each cell."""
+    """Cells to visit, visited before, and too far; and the probability of coverage."""
     mixed = (rest.kinds[evaluation.accessible] != TO_DO).any()
     layers = [*(evaluation.layers.to_do if mixed else []), evaluation.layers.chance]
     return CellMaps(evaluation.ground, evaluation.plan.starts, layers)
 
 
 def plan_map(evaluation: Evaluation) -> CellMaps:
-    """The map by threat with every robot's nominal path: what the answer is about, at the head of the page."""
+    """The map by threat with every robot's nominal path, at the head of the page."""
     world, plan = evaluation.ground, evaluation.plan
     return CellMaps(world, plan.starts, [evaluation.layers.plan], plan=plan, runs=evaluation.played, values_of=CELLS)
 
 
 def world_drawn(evaluation: Evaluation) -> Planned:
-    """The world by threat level, areas and every robot's nominal path."""
+    """The world by threat level, areas and every robot's nominal path, for a picture."""
     closed = "; paths: the nominal ones (no robot lost)" if evaluation.loop == "closed" else ""
     return Planned(evaluation.ground, evaluation.plan, closed)
 
 
 def covered(evaluation: Evaluation) -> CellMaps:
-    """The chance to cover each cell, with those below one half outlined."""
+    """The probability of coverage, with cells below one half outlined."""
     world, plan, chance = evaluation.ground, evaluation.plan, evaluation.expected.visited_by_cell
     rare = np.flatnonzero(evaluation.accessible.ravel() & (chance < 0.5))
     return CellMaps(world, plan.starts, [evaluation.layers.chance], [("", rare, True)] if len(rare) else ())
 
 
 def losses(evaluation: Evaluation) -> CellMaps:
-    """Robots lost in each cell, with the worst outlined and listed."""
+    """Robots lost by cell, with the worst cells outlined and listed."""
     world, lost = evaluation.ground, evaluation.expected.stops_by_cell
     worst = worst_of(lost, OUTLINED).tolist()
     places = [(*divmod(cell, world.shape[1]), lost[cell]) for cell in worst]
@@ -427,14 +429,14 @@ def losses(evaluation: Evaluation) -> CellMaps:
 
 
 def with_route(evaluation: Evaluation, make: Callable[[], CellLayer]) -> CellMaps:
-    """What an output adds, and the route that is to be safe."""
+    """A layer of an output, with the route outlined."""
     world, route = evaluation.ground, evaluation.ground.team.route
     parts = [] if route is None else [("route", route @ (world.shape[1], 1), True)]
     return CellMaps(world, evaluation.plan.starts, [make()], parts)
 
 
 def rest_picture(evaluation: Evaluation, rest: Rest) -> CellMaps:
-    """The chance to cover each cell, with what is to do, what was done and what is too far outlined."""
+    """The probability of coverage, with the cells to visit, visited before, and too far outlined."""
     world, starts = evaluation.ground, evaluation.plan.starts
     kinds = np.where(evaluation.accessible, rest.kinds, NO_KIND).ravel()
     parts = [(name, np.flatnonzero(kinds == kind), False) for kind, name in enumerate(NAMES) if (kinds == kind).any()]

@@ -1,4 +1,4 @@
-"""The page of a report: one HTML file beside the pictures, that opens by a double click, offline, and asks nobody.
+"""The page of a report: one HTML file with its pictures embedded, which works offline and makes no requests.
 
-`document` is the page and its plots, `maps` its maps; `analysis.report.rendering` makes it of a report.
+`document` renders the page and its plots, `maps` its maps; `analysis.report.rendering` makes it from a report.
 """

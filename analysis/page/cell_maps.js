@@ -1,4 +1,4 @@
-// Maps by cell: the values of the cell that is pointed at, in all maps of a group.
+// Maps by cell: the values of the cell at the pointer, in all maps of a group.
 async function inflate(text) {
   const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
@@ -8,7 +8,7 @@ async function unpack(text) {
   const view = new DataView(await inflate(text));
   return Uint16Array.from({ length: view.byteLength / 2 }, (_, i) => view.getUint16(2 * i, true));
 }
-// What a packed value stands for.
+// The meaning of a packed value.
 function valueOf(layer, code, steps) {
   if (layer.names) return layer.names[Math.round((code / steps) * layer.largest)];
   if (code === 0) return "0" + (layer.unit ? " " + layer.unit : "");
@@ -18,7 +18,7 @@ function valueOf(layer, code, steps) {
   if (layer.unit === "%" && code < steps && scaled > 100 - least) return "> " + written(100 - least, digits) + unit;
   return written(scaled, layer.unit === "%" && code === steps ? 0 : digits) + unit;
 }
-const tellers = new Map(); // of a box: what else is known of a cell
+const tellers = new Map(); // by box: functions with further values of a cell
 function maps(group) {
   const about = dataOf(group), [rows, cols] = about.shape, side = about.side, wide = Math.ceil(cols / side);
   const boxes = [...group.querySelectorAll(".grid-box")], marks = boxes.map((box) => box.querySelector(".here"));
@@ -110,7 +110,7 @@ function zoom(box) {
       times = Math.min(Math.max(times * factor, 1), 32);
       view.classList.toggle("zoomed", times > 1);
       view.style.setProperty("--zoom", times);
-      view.scrollTo(across * view.scrollWidth - view.clientWidth / 2, down * view.scrollHeight - view.clientHeight / 2); // the middle stays
+      view.scrollTo(across * view.scrollWidth - view.clientWidth / 2, down * view.scrollHeight - view.clientHeight / 2); // keeps the centre
     });
     bar.append(button);
   }

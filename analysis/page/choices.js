@@ -12,7 +12,7 @@ function option(type, name, text, chosen, pick) {
   label.append(input, make("span", "", text));
   return label;
 }
-// The robots' paths, which hide the map: drawn when they are asked for.
+// The robots' paths hide the map, so they are drawn on demand.
 function pathsOption(box) {
   const turn = (on) => box.classList.toggle("bare", !on);
   turn(false);

@@ -1,4 +1,4 @@
-// Curves: the values at the nearest place, and series that can be left out.
+// Curves: the values at the nearest x, and series that can be hidden.
 function chart(figure) {
   const plot = figure.querySelector(".plot"), cursor = plot.querySelector(".cursor");
   const about = dataOf(plot), off = new Set();

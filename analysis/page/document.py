@@ -1,4 +1,4 @@
-"""The page as a whole, which needs no other file to be read; and plots: the drawing, the words, the pointer's data."""
+"""The HTML document of a page, which needs no other file; and plots: shapes, labels, and data for the pointer."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from analysis.statistics.estimates import Estimate
 from planner.errors import visible
 from planner.files import Json
 
-# The page as a whole: its sections, its one script, and nothing that needs another file to be read.
+# The document: its tables, its sections, and its single script. It needs no other file.
 
-# Tables of the page, of their own or as the command line prints them: both say the same because they are the same.
+# Tables of the page; those of the command line are shown unchanged.
 
 MOST_ROWS = 400
-"""Rows of a table that are shown; the files beside the page hold all."""
+"""Most rows of a table on a page; the other files of the folder hold all."""
 FOLDED_FROM = 40
-"""Longer tables are folded away until somebody asks for them."""
+"""Longer tables are collapsed."""
 VERDICTS = re.compile(r"\b(fails|holds|vacuous|says nothing|undecided|not reproduced|reproduced)\b", re.IGNORECASE)
 LOOKS = {
     "fails": "fails",
@@ -44,14 +44,14 @@ LOOKS = {
     "vacuous": "empty",
     "says nothing": "empty",
 }
-"""How each verdict is shown: a colour and a sign, so that the colour is not all."""
+"""CSS class of each verdict: a colour and a sign, because colour alone is not accessible."""
 
 
 @dataclass(frozen=True)
 class TableData:
     """A table: `columns` names, `rows` of as many cells, `words` the columns that hold words, not numbers.
 
-    unfolded: a long one is shown at once.
+    unfolded: a long table is shown in full.
     """
 
     title: str
@@ -62,12 +62,12 @@ class TableData:
 
     @property
     def shown(self) -> Sequence[tuple[str, ...]]:
-        """The rows that a page has room for."""
+        """The rows that the page shows."""
         return self.rows[:MOST_ROWS]
 
     @property
     def is_long(self) -> bool:
-        """Whether it is folded away."""
+        """Whether it is collapsed."""
         return len(self.shown) > FOLDED_FROM
 
 
@@ -80,37 +80,37 @@ def from_rich(table: Table, unfolded: bool = False) -> TableData:
 
 
 def parted(text: str) -> tuple[str, str, str, str]:
-    """A text before its verdict, the verdict and its look, and the text after it; "" for what is not there."""
+    """The text before its verdict, the verdict and its CSS class, and the text after it; "" if there is none."""
     found = VERDICTS.search(text)
     if found is None:
         return text, "", "", ""
     return text[: found.start()], found[0], LOOKS[found[0].lower()], text[found.end() :]
 
 
-# HTML that cannot be broken by what stands in it: templates escape every text that is not HTML already.
+# HTML in which text cannot break the markup: templates escape every text that is not HTML already.
 
 _UNIT = re.compile(r"(?<=\d) (?=[%\w±])|(?<=%) (?=±)|(?<=[±<>]) (?=\d)")
-"""The space between a number and what it counts, or a sign and its number."""
+"""The space between a number and its unit, or a sign and its number."""
 _OPTION = re.compile(r"(--[a-z][\w-]*(?: (?!-)[^\s;,()]+)?)")
 """An option with its value, if it has one."""
 
 
 def _shown(value: Any) -> Any:
-    """A value as a template puts it in, before it is escaped: invisible, unpaired and turning characters are named."""
+    """A value in a template before it is escaped: control and bidirectional characters are shown by name."""
     return value if isinstance(value, Html) else "" if value is None else visible(str(value))
 
 
 def unbroken(text: object) -> str:
-    """A text in which no line ends between a number and its unit, or between a sign and its number."""
+    """A text with no-break spaces between a number and its unit, and between a sign and its number."""
     return text if isinstance(text, Html) else _UNIT.sub("\N{NO-BREAK SPACE}", str(_shown(text)))
 
 
 def with_code(text: str) -> Html:
-    """A sentence; what stands between backticks is code. An option and its value stay on one line."""
+    """A sentence; text between backticks becomes code. An option and its value stay on one line."""
     if isinstance(text, Html):
         return text
     parts = visible(text).split("`")
-    if len(parts) % 2 == 0:  # one of them has no partner
+    if len(parts) % 2 == 0:  # an unpaired backtick
         return _with_options("`".join(parts), unbroken)
     code = Html("<code>{}</code>")
     return Html().join(
@@ -120,7 +120,7 @@ def with_code(text: str) -> Html:
 
 
 def _with_options(text: str, rest: Callable[[str], str]) -> Html:
-    """Options keep their spaces, so that they can be copied into a shell; `rest`: of what stands between them."""
+    """Options keep their spaces, so that they can be copied into a shell; `rest`: converts the text between them."""
     option = Html('<span class="whole">{}</span>')
     pieces = enumerate(_OPTION.split(text))
     return Html().join(option.format(piece) if at % 2 else rest(piece) for at, piece in pieces)
@@ -135,26 +135,26 @@ TEMPLATES.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",
 
 
 def block(name: str, *values: object) -> Html:
-    """A macro of `templates/blocks.html`; nothing of one that has nothing to say."""
+    """A macro of `templates/blocks.html`; "" if its content is empty."""
     macro = getattr(TEMPLATES.get_template("blocks.html").module, name)
     return Html(macro(*values).strip())
 
 
 LIBRARIES = ("numpy", "scipy", "numba", "jax", "pymetis")
-"""What the figures depend on, beside the program itself."""
+"""Libraries that affect the figures."""
 SCRIPTS = ("values.js", "choices.js", "curves.js", "cell_maps.js", "replay.js", "player.js", "start.js")
-"""The script's files, one a concern, in the order in which they are put together."""
+"""The files of the script, in the order in which they are joined."""
 UNFOLDED = 3
-"""Pictures that are shown at once."""
+"""Most pictures that are shown without collapsing."""
 COLOURS = 128
-"""Of a picture in the page: enough for letters, and a third of the file's bytes."""
+"""Colours of an embedded picture: sufficient for letters, and a third of the file's bytes."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: its heading, what stands under it, one line below the heading.
+    """A section of the page: its heading, its content, a line below the heading.
 
-    fold: the words that unfold it; "" for what is always shown.
+    fold: label of the control that opens it; "" if it is always shown.
     """
 
     title: str
@@ -164,12 +164,12 @@ class Section:
 
     @property
     def anchor(self) -> str:
-        """Its address in the page."""
+        """Its HTML id."""
         return re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-") or "part"
 
 
 def document(sections: Sequence[Section], **values: object) -> str:
-    """The whole file, by `templates/page.html`: it needs no other. The same page gives the same bytes."""
+    """The whole file, from `templates/page.html`. Equal content gives equal bytes."""
     script = whole_script()
     return TEMPLATES.get_template("page.html").render(
         sections=[section for section in sections if section.body], script=script, rules=policy(script),
@@ -183,7 +183,8 @@ def page_head(title: str, styles: str, rules: str) -> Html:
 
 
 def policy(script: str, connect: str = "'none'") -> str:
-    """What the browser itself enforces: this one script, the pictures in the page, and no request but to `connect`."""
+    """The content security policy: this one script, embedded pictures, and no request except to `connect`."""
+    # The hash allows exactly this script, and no other.
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return (
         f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:; "
@@ -192,18 +193,19 @@ def policy(script: str, connect: str = "'none'") -> str:
 
 
 def whole_script(parts: Iterable[str] | None = None) -> Html:
-    """A page's one script, of these texts (default: a report's); nothing of it is seen outside."""
+    """The single script of a page, joined from these texts (default: a report's) in one closure."""
+    # One closure: the script defines no global names.
     texts = map(asset, SCRIPTS) if parts is None else parts
     return Html("\n".join(('"use strict";\n(() => {', *texts, "})();\n")))
 
 
 def asset(name: str, package: str = "analysis.page") -> str:
-    """A file of this package, or of another."""
+    """The text of a file of a package."""
     return files(package).joinpath(name).read_text(encoding="utf-8")
 
 
 def known_version(library: str) -> str:
-    """Its version, or "not installed"."""
+    """The version of a library, or "not installed"."""
     try:
         return version(library)
     except PackageNotFoundError:
@@ -218,15 +220,15 @@ def reproduce_section(command: str, names: Sequence[str], again: str) -> Section
 
 
 def pictures_section(pictures: Mapping[str, bytes]) -> Section:
-    """The pictures, PNG files by name, each with its own description, in the page itself; many are folded away."""
+    """The pictures, PNG files by name, embedded with their descriptions; collapsed if there are many."""
     shown = [(PurePath(name).name, *described(png, PurePath(name).stem)) for name, png in pictures.items()]
-    fold = f"{len(shown)} pictures of what is above" if len(shown) > UNFOLDED else ""
-    lead = "For slides and papers; in full colour as the PNG files that were written beside this page."
+    fold = f"{len(shown)} pictures of this report" if len(shown) > UNFOLDED else ""
+    lead = "For slides and papers; the PNG files in the same folder have all colours."
     return Section("Pictures", block("pictures", shown), lead, fold)
 
 
 def described(png: bytes, name: str) -> tuple[str, Html]:
-    """What a PNG file says of itself, else its name; and it as a data address, in fewer colours."""
+    """The description stored in a PNG file, or else its name; and the picture as a data URL with fewer colours."""
     out = io.BytesIO()
     with Image.open(io.BytesIO(png)) as image:
         words = image.info.get("Description") or name.replace("_", " ")
@@ -235,17 +237,17 @@ def described(png: bytes, name: str) -> tuple[str, Html]:
     return words, Html("data:image/png;base64," + base64.b64encode(out.getvalue()).decode())
 
 
-# A plot: the drawing that is stretched, and the words and the pointer's data beside it.
+# Plots: shapes that are stretched, with labels and the pointer's data.
 
-# What a chart is made of: curves by name, axes, and the same as arrays, thinned to what a screen can show.
+# The data of a chart: curves by name, axes, and arrays thinned to the resolution of a screen.
 
 MOST_POINTS = 400
-"""Points of a curve that are drawn and shown under the pointer; longer ones are thinned evenly."""
+"""Most points of a curve that are drawn; longer curves are thinned evenly."""
 BARS_UP_TO = 40
-"""Intervals of so few points are drawn as bars, of more as a band."""
+"""Most points whose intervals are drawn as bars; with more points they form a band."""
 CURVE_COLOURS = 8
 SIDE = 1000
-"""Units of the drawing in each direction, stretched to the space that there is."""
+"""Units of the drawing in each direction; the browser stretches it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,10 +255,10 @@ class Series:
     """A curve by name.
 
     Attributes:
-        name: in the legend. x, y: of its points; NaN is left out.
+        name: in the legend. x, y: of its points; NaN is omitted.
         low, high: of the interval of each point, if there are any.
-        kind: "line", "step" (holds each value to the next x), "points" (marks alone) or "bars".
-        dashed: for what is only compared with. colour: its number in the palette; None: its place among the series.
+        kind: "line", "step" (holds each value to the next x), "points" (marks only) or "bars".
+        dashed: for reference curves. colour: index in the palette; None: the index of the series.
     """
 
     name: str
@@ -270,7 +272,7 @@ class Series:
 
     @classmethod
     def of(cls, name: str, x: ArrayLike, estimates: Sequence[Estimate], scale: float = 100.0, **look: Any) -> Series:
-        """Means times `scale` with their intervals; none where no interval is known of one."""
+        """Means times `scale` with their intervals; without intervals if one is unknown."""
         means, low, high = scale * np.array([(one.mean, *one.ci95) for one in estimates]).reshape(-1, 3).T
         known = bool(np.isfinite((low, high)).all())
         return cls(name, x, means, low if known else None, high if known else None, **look)
@@ -282,12 +284,12 @@ class Chart:
 
     Attributes:
         title: its heading. series: the curves. x_name, y_name: of the axes. note: a line below.
-        unit: after every value of y, "%" say. digits, x_digits: decimals of the values shown under the pointer.
-        x_whole: label whole numbers alone. x_words: of 0, 1, 2, ..., in their place.
-        y_range: shown at least; None: what the curves need, from 0. fit: the y axis begins where the curves do,
-            not at 0, and `y_range` is what it never leaves.
-        at_x: (x, words) of upright lines, where they are on the axis. at_y: (y, words) of level ones.
-        interval: what low and high are, in words.
+        unit: after every value of y, for example "%". digits, x_digits: decimals of the values at the pointer.
+        x_whole: label only integers. x_words: labels of 0, 1, 2, ....
+        y_range: smallest range of the y axis; None: as the curves need, from 0. fit: the y axis begins at the curves'
+            minimum instead of 0, and `y_range` limits it.
+        at_x: (x, label) of vertical lines, if they are on the axis. at_y: (y, label) of horizontal ones.
+        interval: meaning of low and high.
     """
 
     title: str
@@ -309,7 +311,7 @@ class Chart:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """A series as arrays, thinned; `bars`: how wide a bar is."""
+    """A series as arrays, thinned; `bars`: width of a bar."""
 
     about: Series
     x: NDArray[np.float64]
@@ -321,15 +323,16 @@ class Points:
 
     @property
     def ends(self) -> list[NDArray[np.float64]]:
-        """All that must fit on the y axis."""
+        """All values that must fit on the y axis."""
         return [values for values in (self.y, self.low, self.high) if values is not None]
 
 
 def points_of(series: Series, place: int) -> Points:
-    """The series as arrays; `place` among the series gives the colour, where it names none."""
+    """The series as arrays; `place` among the series gives the default colour."""
     x, y = (np.asarray(values, dtype=np.float64).ravel() for values in (series.x, series.y))
     known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     bars = float(np.diff(x[known]).min()) if series.kind == "bars" and len(known) > 1 else 1.0
+    # Bars are bins, and are not thinned.
     if len(known) > MOST_POINTS and series.kind != "bars":
         known = known[np.unique(np.linspace(0, len(known) - 1, MOST_POINTS).round().astype(np.int64))]
     low, high = _ends(series.low, series.high, known, y)
@@ -340,7 +343,7 @@ def points_of(series: Series, place: int) -> Points:
 def _ends(
     low: ArrayLike | None, high: ArrayLike | None, known: NDArray[np.int64], y: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None]:
-    """The intervals of the `known` points; where an end is not known it is the point itself."""
+    """The intervals of the `known` points; an unknown end is replaced by the point."""
     if low is None or high is None:
         return None, None
     ends = (np.asarray(values, dtype=np.float64).ravel()[known] for values in (low, high))
@@ -349,7 +352,7 @@ def _ends(
 
 
 def x_range_of(points: Sequence[Points]) -> tuple[float, float]:
-    """What the x axis shows."""
+    """The range of the x axis."""
     low, high = min(float(one.x.min()) for one in points), max(float(one.x.max()) for one in points)
     wide = max((one.bars for one in points if one.about.kind == "bars"), default=0.0)
     few = wide or (0.03 * (high - low) if max(len(one.x) for one in points) <= BARS_UP_TO else 0.0)
@@ -359,7 +362,7 @@ def x_range_of(points: Sequence[Points]) -> tuple[float, float]:
 
 
 def y_range_of(chart: Chart, points: Sequence[Points]) -> tuple[float, float]:
-    """What the y axis shows."""
+    """The range of the y axis."""
     every = np.concatenate([end for one in points for end in one.ends])
     low, high = min(float(every.min()), 0.0), max(float(every.max()), *(y for y, _ in chart.at_y), 0.0)
     if chart.fit:
@@ -373,7 +376,7 @@ def y_range_of(chart: Chart, points: Sequence[Points]) -> tuple[float, float]:
 
 
 class Frame:
-    """From values to units of the drawing, and to percent of the plot's width and height."""
+    """Maps values to units of the drawing, and to fractions of the plot's width and height."""
 
     def __init__(self, x: tuple[float, float], y: tuple[float, float]) -> None:
         self.x, self.y = x, y
@@ -387,16 +390,16 @@ class Frame:
         return (y - self.y[0]) / (self.y[1] - self.y[0])
 
     def place(self, x: float, y: float) -> str:
-        """The point as the drawing has it: "across down"."""
+        """The point in the drawing's units: "across down"."""
         return f"{units(self.across(x))} {units(1 - self.up(y))}"
 
 
 def units(fraction: float) -> str:
-    """A part of a side in the drawing's units, kept near the drawing."""
+    """A fraction of a side in the drawing's units, limited to near the drawing."""
     return f"{min(max(fraction, -1.0), 2.0) * SIDE:.1f}".rstrip("0").rstrip(".")
 
 
-# Where axes are labelled, and how numbers on them are written.
+# Ticks of axes, and the format of their numbers.
 
 
 def nice_step(rough: float) -> float:
@@ -406,7 +409,7 @@ def nice_step(rough: float) -> float:
 
 
 def ticks(low: float, high: float, most: int = 6, whole: bool = False) -> NDArray[np.floating]:
-    """At most about `most` round numbers in `low .. high`; whole ones if asked."""
+    """About `most` round numbers in `low .. high`, at most; integers if `whole`."""
     step = nice_step(max(high - low, 1e-12) / max(most, 1))
     if whole:
         step = max(step, 1.0)
@@ -421,18 +424,18 @@ def label(value: float, step: float) -> str:
 
 
 Shape = tuple[str, str]
-"""How a path looks, and its letters."""
+"""CSS class and path data of a shape."""
 Word = tuple[str, str, float, str]
-"""How a word looks, from which side it stands how far (0 to 1), and its text."""
+"""CSS class of a label, the side that its position (0 to 1) counts from, the position, and the text."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plot:
-    """What the template draws.
+    """The content of a plot for the template.
 
     Attributes:
-        points: the curves. label: the plot in words. axes: paths below the curves. curves: each with its paths.
-        words: beside the drawing. under_the_pointer: what the script shows.
+        points: the curves. label: a text alternative. axes: shapes below the curves. curves: each with its shapes.
+        words: labels around the drawing. under_the_pointer: values for the script.
     """
 
     points: Sequence[Points]
@@ -476,7 +479,7 @@ def plot_of(chart: Chart, points: Sequence[Points], frame: Frame) -> Plot:
 
 
 def _across_words(places: NDArray[np.floating], gap: float, frame: Frame, words: Sequence[str]) -> list[Word]:
-    """Labels of the x axis; those that a phone has no room for are marked, and those that nobody has are left out."""
+    """Labels of the x axis; those without room on a phone are marked, those without room on any screen are omitted."""
     out, last, narrow = [], -1.0, -1.0
     for x in places:
         text, at = words[round(x)] if words else label(float(x), gap), frame.across(float(x))
@@ -489,7 +492,7 @@ def _across_words(places: NDArray[np.floating], gap: float, frame: Frame, words:
 
 
 def _shapes(one: Points, frame: Frame) -> list[Shape]:
-    """The marks of a series."""
+    """The shapes of a series."""
     out, kind = [], one.about.kind
     if kind == "bars":
         half = 0.46 * one.bars
@@ -526,7 +529,7 @@ def _line(x: NDArray[np.float64], y: NDArray[np.float64], frame: Frame, kind: st
 
 
 def _under_the_pointer(chart: Chart, points: Sequence[Points], frame: Frame) -> Json:
-    """What the script shows at each x."""
+    """The values that the script shows at each x."""
     digits = chart.digits + 1
 
     def listed(values: NDArray[np.float64] | None) -> list[float] | None:
@@ -554,18 +557,17 @@ def _under_the_pointer(chart: Chart, points: Sequence[Points], frame: Frame) -> 
     }
 
 
-# Curves with intervals: drawn as SVG here, so that they are there without a script; the script adds the values.
+# Curves with intervals, drawn as SVG here, so that they need no script; the script adds the values at the pointer.
 #
-# The plot is stretched to whatever width there is, lines keep their width, and every word is HTML beside it: so it
-# reads
-# the same on a phone, on paper and on a wide screen.
+# The plot is stretched to the available width; lines keep their width, and all labels are HTML around it, so that it
+# reads the same on a phone, on paper and on a wide screen.
 
 __all__ = ["Chart", "Series", "curves_html"]
 TABLE_ROWS = 40
 
 
 def curves_html(chart: Chart, heading: str = "h3") -> Html:
-    """The chart as a figure: `heading`, legend, plot, the values as a table folded away. Nothing of no points."""
+    """The chart as a figure: `heading`, legend, plot, a collapsed table of its values. "" without points."""
     points = [points_of(series, place) for place, series in enumerate(chart.series)]
     points = [one for one in points if len(one.x)]
     if not points:
@@ -580,7 +582,7 @@ def curves_html(chart: Chart, heading: str = "h3") -> Html:
 
 
 def _values(chart: Chart, points: Sequence[Points]) -> TableData:
-    """The curves as a table: for those who cannot see them, and for those who want to copy them."""
+    """The curves as a table, for screen readers and for copying."""
     every = np.unique(np.concatenate([one.x for one in points]))
     if len(every) > TABLE_ROWS:
         every = every[np.unique(np.linspace(0, len(every) - 1, TABLE_ROWS).round().astype(np.int64))]

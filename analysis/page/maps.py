@@ -1,4 +1,4 @@
-"""Maps by cell: one pixel a cell as a PNG inside the page, the values under the pointer, and planned paths over it."""
+"""Maps by cell: one pixel a cell as an embedded PNG, the values at the pointer, and planned paths."""
 
 from __future__ import annotations
 
@@ -36,37 +36,36 @@ from planner.simulator.codes import NO_ROBOT
 from planner.world.levels import find_levels
 from planner.world.world import World
 
-# Maps by cell: one pixel a cell as a PNG inside the page, and the values under the pointer, packed.
+# Maps by cell: one pixel a cell as an embedded PNG, and the values at the pointer, packed.
 #
-# Of maps with more than MOST_CELLS cells, square blocks of cells are shown: their mean chance, and their sum of
-# losses.
+# Maps with more than MOST_CELLS cells show square blocks of cells: their mean probability, and their sum of losses.
 
 MOST_CELLS = 1_000_000
 STEPS = 60_000
-"""Values are packed as 0 .. STEPS of the largest; what is not quite 0 or 1 stays so."""
+"""Values are packed as 0 .. STEPS of the largest; values near 0 or 1 are not rounded to them."""
 OUT_OF_REACH, NOT_FREE = STEPS + 1, STEPS + 2
 MOST_RINGS = 64
-"""Starts that are marked; more would hide the map."""
+"""Most starts that are marked; more would hide the map."""
 FINE = 250
-"""Cells a side from which a map is smoothed where its cells are smaller than pixels."""
+"""Cells a side above which a map is smoothed if its cells are smaller than pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class CellLayer:
-    """A value for each cell.
+    """Values by cell.
 
     Attributes:
         name: its heading; about: a line below it.
-        values: float64 `[H, W]`; unit: "%" for chances (then 0 .. 1), else "".
-        colours: from the least to the largest. root: spread small values by a square root.
-        blocks: how blocks of cells come together where a map is too large: their "mean" or their "sum".
-        top: the scale's end; None: the largest value. norm: where values lie on the scale, instead of root and top.
+        values: float64 `[H, W]`; unit: "%" for probabilities (then 0 .. 1), else "".
+        colours: from the smallest to the largest value. root: a square-root scale, which spreads small values.
+        blocks: aggregate of a block of cells if a map is too large: "mean" or "sum".
+        top: end of the scale; None: the largest value. norm: positions of values on the scale, instead of root and top.
         labels: values at which the scale is labelled; () for round ones.
-        digits: of chances under the pointer; other values show what their packing keeps.
-        short: its name where layers are switched; "": `name`.
-        names: what the whole numbers 0, 1, ... stand for; () for values that are numbers.
-        discs: few cells have a value above 0: a picture draws each as a disc.
-        since: of threats that change, the step from which it holds; None: it holds throughout.
+        digits: decimals of probabilities at the pointer; other values show the precision of their packing.
+        short: its name in the switch of layers; "": `name`.
+        names: names of the integer values 0, 1, ...; () for numbers.
+        discs: few cells have a value above 0, and a picture draws each as a disc.
+        since: first step of a threat that changes; None: the layer holds throughout.
     """
 
     name: str
@@ -96,14 +95,15 @@ def cell_maps_html(
     anchor: str | None = None,
     values_of: str | None = None,
 ) -> Html:
-    """The layers side by side, or below each other on a phone; pointing at a cell of one marks it in all.
+    """The layers side by side, or below each other on a phone; the cell at the pointer is marked in all of them.
 
     Args:
         starts: int64 `[K, 2]`, (row, col). above: drawn over each layer's cells. heading: the element of their names.
-        anchor: the group's id. values_of: the id of a group of the same map whose values are shown instead of these.
+        anchor: the group's id. values_of: id of another group of the same map whose values are shown instead.
     """
     height, width = world.shape
     free, accessible, side = world.free, world.accessible(starts), 1
+    # The smallest blocks of which there are at most MOST_CELLS.
     while -(-height // side) * -(-width // side) > MOST_CELLS:
         side += 1
     blocked = [_Blocks(layer, free, accessible, side) for layer in layers]
@@ -119,7 +119,7 @@ def cell_maps_html(
     }
     note = "Point at a cell, or tap it, for its values; with the keyboard, the arrow keys go from cell to cell."
     if side > 1:
-        note += f" This map is large: values are of blocks of {side} x {side} cells, their mean, of losses their sum."
+        note += f" This map is large: values are those of blocks of {side} x {side} cells, means, for losses sums."
     ringed = np.unique(starts, axis=0).tolist() if len(starts) <= MOST_RINGS else []
     key = {
         "chip start": ("robots' starts", len(ringed) > 0),
@@ -136,12 +136,12 @@ def cell_maps_html(
 
 
 def packed_layer(layer: CellLayer, free: NDArray[np.bool_], accessible: NDArray[np.bool_]) -> dict[str, object]:
-    """A layer's values, as the page's script unpacks them."""
+    """A layer's values, in the form that the page's script unpacks."""
     return _Blocks(layer, free, accessible, 1).packed()
 
 
 class _Blocks:
-    """A layer by blocks of `side` x `side` cells (one cell, mostly)."""
+    """A layer by blocks of `side` x `side` cells (usually one cell)."""
 
     def __init__(self, layer: CellLayer, free: NDArray[np.bool_], accessible: NDArray[np.bool_], side: int) -> None:
         self.layer = layer
@@ -153,7 +153,7 @@ class _Blocks:
         self.norm = layer.norm or PowerNorm(0.5 if layer.root else 1.0, 0.0, top)
 
     def shades(self) -> NDArray[np.uint8]:
-        """The colour of each block, uint8 `[rows, cols]`; SHADES and SHADES + 1 are what is not accessible."""
+        """The colour index of each block, uint8 `[rows, cols]`; SHADES: unreachable, SHADES + 1: obstacle."""
         part = np.clip(np.asarray(self.norm(self.values)), 0.0, 1.0)
         shade = np.minimum((part * SHADES).astype(np.int64), SHADES - 1)
         shade[~self.accessible] = SHADES
@@ -161,7 +161,7 @@ class _Blocks:
         return shade.astype(np.uint8)
 
     def png(self) -> str:
-        """One pixel a block, as a data address; the same values give the same bytes."""
+        """One pixel a block, as a data URL; equal values give equal bytes."""
         image = Image.fromarray(self.shades())
         scale = self.layer.colours(np.linspace(0, 1, SHADES))[:, :3]
         palette = [*(scale * 255).round().astype(int).ravel().tolist(), *_rgb(UNREACHABLE), *_rgb(OBSTACLE)]
@@ -172,16 +172,16 @@ class _Blocks:
 
     @property
     def is_fine(self) -> bool:
-        """Whether it is smoothed where its cells are smaller than pixels."""
+        """Whether it is smoothed if its cells are smaller than pixels."""
         return max(self.layer.values.shape) > FINE
 
     @property
     def stops(self) -> str:
-        """The colours of the scale, for a style sheet."""
+        """The colours of the scale, for CSS."""
         return ",".join(to_hex(self.layer.colours(x)) for x in np.linspace(0, 1, 33))
 
     def bar_words(self) -> Iterator[tuple[float, str]]:
-        """Where on the scale, 0 to 1, which values stand, as far apart as they can be read."""
+        """Positions on the scale, 0 to 1, and labels of values, as far apart as is readable."""
         layer, last = self.layer, -1.0
         scale, unit = (100.0, " %") if layer.unit == "%" else (1.0, "")
         top = float(self.norm.vmax if self.norm.vmax is not None else 1.0) * scale
@@ -199,6 +199,7 @@ class _Blocks:
         largest = 1.0 if self.layer.unit == "%" else float(self.values.max(initial=0.0)) or 1.0
         part = self.values / largest
         codes = np.clip((part * STEPS).round(), 0, STEPS).astype(np.int64)
+        # A value near 0 or 1 must not be shown as 0 or 1.
         codes[(part > 0) & (codes == 0)] = 1
         codes[(part < 1) & (codes == STEPS)] = STEPS - 1
         codes[~self.accessible] = OUT_OF_REACH
@@ -229,22 +230,22 @@ def _rgb(colour: str) -> list[int]:
     return [int(colour[place : place + 2], 16) for place in (1, 3, 5)]
 
 
-# A plan on its map, cell by cell: the threat, the chance that cells are covered, robots lost, the areas.
+# A plan on its map, cell by cell: threat, probability of coverage, robots lost, areas.
 
 
 def _tint(colour: str, part: float) -> tuple[float, ...]:
-    """A colour with white: `part` of it."""
+    """A colour mixed with white; `part`: share of the colour."""
     return tuple(part * shade + 1 - part for shade in to_rgb(colour))
 
 
 TINTS = ListedColormap(["#efece4", *(_tint(colour, part) for colour in ROBOT_COLOURS for part in (0.6, 0.42))])
-"""Nobody's, and two tints a robot, so that its areas side by side can be told apart."""
+"""The colour of unassigned areas, and two tints a robot, to distinguish its neighbouring areas."""
 
 
 def chance_layers(
     world: World, plan: Plan, visited: NDArray[np.float64], lost: NDArray[np.float64], known: str
 ) -> list[CellLayer]:
-    """Threat, the chance that each cell is covered, and robots lost there, `[N]`; `known`: how they are."""
+    """Threat, probability of coverage, and robots lost, `[N]`; `known`: source of the values."""
     return [
         threat_layer(world, plan),
         CellLayer("Chance that the cell is covered", f"Visited; {known}.",
@@ -255,7 +256,7 @@ def chance_layers(
 
 
 def threat_layer(world: World, plan: Plan) -> CellLayer:
-    """The map itself, as a layer, in the colours of the pictures."""
+    """The threat map as a layer, in the colours of the pictures."""
     accessible = world.accessible(plan.starts)
     threat = np.where(accessible, np.nan_to_num(world.threat.astype(np.float64)), 0.0)
     levels = find_levels(world, accessible, plan.settings.levels if plan.settings else MOST_LEVELS)
@@ -267,12 +268,12 @@ def threat_layer(world: World, plan: Plan) -> CellLayer:
 
 
 def p_words(plan: Plan, world: World) -> str:
-    """What p is on a map."""
-    return bearing_words(plan, world) or "the chance that one visit stops a robot"
+    """The meaning of p on a map."""
+    return bearing_words(plan, world) or "the chance that one visit destroys a robot"
 
 
 def area_layers(plan: Plan) -> Iterator[CellLayer]:
-    """The areas at the start, in the colours of the robots that hold them; none of another planner's plan."""
+    """The areas at the start, in the colours of their robots; none for an external plan."""
     if not plan.areas or plan.shape[0] * plan.shape[1] > MOST_CELLS:
         return
     area = np.zeros(plan.shape)
@@ -281,33 +282,33 @@ def area_layers(plan: Plan) -> Iterator[CellLayer]:
     owners = np.array([held.robot for held in plan.areas])
     tints = np.where(owners == NO_ROBOT, 0, 1 + 2 * (owners % len(ROBOT_COLOURS)) + np.arange(len(owners)) % 2)
     names = tuple(
-        f"{number}, level {held.level}, " + ("nobody's yet" if held.robot == NO_ROBOT else f"robot {held.robot}")
+        f"{number}, level {held.level}, " + ("unassigned" if held.robot == NO_ROBOT else f"robot {held.robot}")
         for number, held in enumerate(plan.areas)
     )
-    about = "Who holds which at the start: the colour of the robot's line, in two tints; pale: nobody yet."
+    about = "Assignment at the start: the colour of the robot's path, in two tints; pale: unassigned."
     yield CellLayer("Areas", about, area, TINTS, norm=Tint(tints), names=names)
 
 
 class Tint(Normalize):
-    """The place on TINTS of each area, by its number."""
+    """The position of each area on TINTS, by its number."""
 
     def __init__(self, tints: NDArray[np.int64]) -> None:
         super().__init__(0, 1)
         self._places = (tints + 0.5) / TINTS.N
 
     def __call__(self, value: Any, clip: bool | None = None) -> Any:
-        """Places in 0 .. 1 of areas `[H, W]`."""
+        """Positions in 0 .. 1 of areas `[H, W]`."""
         return self._places[np.asarray(value, dtype=np.int64)]
 
 
 # The planned paths over a map of the page: one line a robot, drawn by the browser.
 
-# Runs to be played over a map of the page: every robot's moves, a byte each, deflated.
+# Runs that the page plays: every robot's moves, a byte each, deflated.
 #
-# The script unfolds them (`replay.js`): where each robot is at a step, and what is covered until then.
+# The script (`replay.js`) computes from them each robot's position at a step, and the cells covered by then.
 
 RUNS_MOST_LETTERS = 600_000
-"""Of all runs together in the page; runs beyond it are left out, the last first."""
+"""Most characters of all runs in the page; further runs are omitted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,9 +317,9 @@ class Run:
 
     Attributes:
         name: on its button. cells: int32 `[T, K]`, cell (row * W + col) of each robot at the end of each step.
-        lost: int64 `[K]`, the step at which each robot was stopped; NO_STEP.
-        movers: int64 `[T, M]`, cells of the threats that move; None where they are not told.
-        seen: int32 `[N]`, the step at which each cell is first seen, NO_STEP if never; None where robots know the map.
+        lost: int64 `[K]`, the step at which each robot is lost; NO_STEP.
+        movers: int64 `[T, M]`, cells of the moving threats; None: not shown.
+        seen: int32 `[N]`, the step at which each cell is first seen, NO_STEP if never; None for a known map.
     """
 
     name: str
@@ -329,31 +330,32 @@ class Run:
 
 
 def packed_runs(runs: Sequence[Run], accessible: NDArray[np.bool_], pace: Pace = UNPACED) -> Json:
-    """What the script plays, inert; `accessible`: bool `[H, W]`. Nothing where not even the first run has room."""
+    """The runs as JSON for the script; `accessible`: bool `[H, W]`. Empty if the first run is already too long."""
     packed, letters = [], 0
     for run in runs:
-        told = pack(run, accessible.shape[1])
-        letters += sum(map(len, told["moves"] + told.get("movers", {"moves": []})["moves"])) + len(told.get("seen", ""))
+        data = pack(run, accessible.shape[1])
+        letters += sum(map(len, data["moves"] + data.get("movers", {"moves": []})["moves"])) + len(data.get("seen", ""))
         if letters > RUNS_MOST_LETTERS:
             break
-        packed.append(told)
+        packed.append(data)
     if not packed:
         return {}
     robots = runs[0].cells.shape[1]
     shifts = [round(lane(robot, robots), 3) for robot in range(robots)]
-    told = {"shape": accessible.shape, "accessible": int(accessible.sum()), "shifts": shifts, "runs": packed}
-    return told | ({"seconds": pace.seconds} if pace else {})
+    data = {"shape": accessible.shape, "accessible": int(accessible.sum()), "shifts": shifts, "runs": packed}
+    return data | ({"seconds": pace.seconds} if pace else {})
 
 
 def pack(run: Run, width: int) -> Json:
-    """A run as JSON: starts, losses, and the codes of each robot's moves until it is stopped or stays for good.
+    """A run as JSON: starts, losses, and the codes of each robot's moves until it is lost or stays for good.
 
-    A code is 0 (stay), 1 (up), 2 (down), 3 (left) or 4 (right). Raises ValueError for a robot that jumps.
+    A code is 0 (stay), 1 (up), 2 (down), 3 (left) or 4 (right). Raises ValueError for a move to a cell that is not next
+    to the last one.
     """
-    told: Json = {} if run.seen is None else {"seen": _deflated(run.seen)}
+    data: Json = {} if run.seen is None else {"seen": _deflated(run.seen)}
     if run.movers is not None:
-        told["movers"] = {"starts": run.movers[0].tolist(), "moves": moves_of(run.movers, width)}
-    return told | {
+        data["movers"] = {"starts": run.movers[0].tolist(), "moves": moves_of(run.movers, width)}
+    return data | {
         "name": run.name,
         "time": len(run.cells) - 1,
         "starts": run.cells[0].tolist(),
@@ -363,13 +365,13 @@ def pack(run: Run, width: int) -> Json:
 
 
 def moves_of(cells: NDArray[np.integer], width: int) -> list[str]:
-    """The codes of each way, a column of `cells` `[T, K]`, until it stays for good."""
+    """The codes of each column of `cells` `[T, K]`, until it stays for good."""
     steps = np.diff(cells, axis=0)
     codes = np.zeros(steps.shape, dtype=np.uint8)
-    for code, step in ((4, 1), (3, -1), (2, width), (1, -width)):  # a map of one column has up and down alone
+    for code, step in ((4, 1), (3, -1), (2, width), (1, -width)):  # in a map of one column, a step of 1 is up or down
         codes[steps == step] = code
     if ((codes == 0) & (steps != 0)).any():
-        raise ValueError("a way does not lead from cell to cell")
+        raise ValueError("a path does not lead from cell to cell")
     moves = []
     for way in codes.T:
         until = int(np.flatnonzero(way)[-1]) + 1 if way.any() else 0
@@ -382,14 +384,14 @@ def _deflated(values: NDArray) -> str:
 
 
 PLAN_PATHS_MOST_LETTERS = 400_000
-"""Of all paths together; longer ones would make the page heavy and the map a blur."""
+"""Most characters of all paths; longer ones would make the page slow and hide the map."""
 LISTED = 16
-"""Robots with an entry of their own in the legend."""
+"""Most robots with a separate entry in the legend."""
 DASHES = ("", "5 1.6", "1.5 1.5", "6 1.5 1.2 1.5")
 
 
 class Line(NamedTuple):
-    """A robot's path to draw: letters of an SVG path, a colour's number, dashes, and how far to shift it, in cells."""
+    """A robot's path: SVG path data, index of its colour, dashes, and its shift in cells."""
 
     letters: str
     colour: int
@@ -398,7 +400,7 @@ class Line(NamedTuple):
 
 
 def path_lines(plan: Plan) -> list[Line] | None:
-    """Every robot's path over the cells of the plan's map, in cells; None where they are too long to draw."""
+    """Every robot's path over the cells of the plan's map, in cells; None if they are too long to draw."""
     lines, letters, robots = [], 0, len(plan.robots)
     for robot in range(robots):
         line = path_letters(plan, robot)
@@ -411,27 +413,27 @@ def path_lines(plan: Plan) -> list[Line] | None:
 
 
 def thickness(plan: Plan) -> float:
-    """Of the lines, in CSS pixels."""
+    """Width of the lines, in CSS pixels."""
     return round(float(np.clip(270 / max(plan.shape) / max(len(plan.robots), 3), 0.6, 1.6)), 2)
 
 
 def plan_map_html(
     layers: Sequence[CellLayer], world: World, plan: Plan, runs: Sequence[Run], about: str, values_of: str | None
 ) -> Html:
-    """The map with the plan's paths over it, and runs to be played there; arguments as of `CellMaps`."""
+    """The map with the plan's paths, and the runs that are played on it; arguments as in `CellMaps`."""
     lines, robots = path_lines(plan), len(plan.robots)
     drawn = None if lines is None else block("paths", plan, lines, thickness(plan))
     maps = cell_maps_html(layers, world, plan.starts, above=drawn, heading="h2", values_of=values_of)
-    whose = [(f"swatch r{robot % len(ROBOT_COLOURS)}", f"robot {robot}") for robot in range(robots)]
+    entries = [(f"swatch r{robot % len(ROBOT_COLOURS)}", f"robot {robot}") for robot in range(robots)]
     note = "" if robots <= LISTED else f"{counted(robots, 'line')}: one a robot."
     if lines is None:
         note = "The paths are too long to be drawn here."
     packed = packed_runs(runs, world.accessible(plan.starts), world.pace)
-    return block("plan_map", maps, packed, about, [] if note else whose, note)
+    return block("plan_map", maps, packed, about, [] if note else entries, note)
 
 
 def path_letters(plan: Plan, robot: int) -> str:
-    """A path as the letters of an SVG path: moves of one direction in one stroke, waiting left out."""
+    """A path as SVG path data: moves in one direction are one stroke, waits are omitted."""
     rows, cols = np.divmod(plan.robots[robot].path, plan.shape[1])
     moves = zip(np.diff(rows).tolist(), np.diff(cols).tolist(), strict=True)
     strokes = [f"M{cols[0]} {rows[0]}"]

@@ -1,6 +1,6 @@
-// The head's map: its layers switch, and runs are played over it.
-// The pictures are those of the section cell by cell: they are in the page once. Gives what shows, at a step, the
-// threats that hold then, if threats are shown.
+// The first map: a switch of layers, and the player of runs.
+// The images are those of the section cell by cell, so that the page holds them once. Returns a function that shows the
+// threats of a step, if threats are shown.
 function layers(group) {
   const head = group.querySelector(".map"), box = head.querySelector(".grid-box"), source = document.getElementById(dataOf(group).from);
   const paths = box.querySelector(".paths") ? [pathsOption(box)] : [];
@@ -27,7 +27,7 @@ function layers(group) {
   };
 }
 
-// What hides the cells of a map until a step of each.
+// A veil over the cells of a map, each lifted at its step.
 function curtain(box, look, colour, rows, cols) {
   const canvas = make("canvas", "veil " + look), context = canvas.getContext("2d"), at = (cell) => [cell % cols, Math.floor(cell / cols), 1, 1];
   let order = [], steps = [], lifted = 0;
@@ -68,7 +68,7 @@ function player(group, showThreats) {
 
   const threats = Array.from({ length: Math.max(...about.runs.map((one) => (one.movers ? one.movers.starts.length : 0))) }, () => {
     const mark = make("i", "mover");
-    mark.title = "a threat that moves";
+    mark.title = "moving threat";
     box.append(mark);
     return mark;
   });
@@ -110,7 +110,7 @@ function player(group, showThreats) {
   async function choose(number) {
     pause();
     const mine = ++wanted, found = await load(number);
-    if (mine !== wanted) return; // another was chosen meanwhile
+    if (mine !== wanted) return; // another run was selected meanwhile
     replay = found;
     run = about.runs[number];
     veil.hang(replay.order, replay.steps);

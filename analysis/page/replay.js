@@ -1,7 +1,7 @@
-// A run from its moves: where everybody is, and what is covered, at any step. Nothing here touches the page.
+// A run from its moves: the robots' cells and the covered cells at any step. This file does not use the page.
 const BY_MOVE = (cols) => [0, -cols, cols, -1, 1];
 
-// Where a way of such codes leads from a cell: the cell of every step.
+// The cell of every step, from a first cell and the codes of the moves.
 function cellsOf(codes, start, by) {
   const at = new Int32Array(codes.length + 1);
   at[0] = start;
@@ -9,7 +9,7 @@ function cellsOf(codes, start, by) {
   return at;
 }
 
-// moves: a Uint8Array a robot (codes of BY_MOVE, one a step); starts: its first cell; lost: the step it is stopped, or -1.
+// moves: a Uint8Array a robot (codes of BY_MOVE, one a step); starts: its first cell; lost: the step of its loss, or -1.
 function unfold(moves, starts, lost, time, rows, cols) {
   const by = BY_MOVE(cols), when = new Int32Array(rows * cols).fill(-1), who = new Int32Array(rows * cols).fill(-1);
   const robots = moves.map((codes, number) => {
@@ -43,13 +43,13 @@ function unfold(moves, starts, lost, time, rows, cols) {
   return { robots, time, cols, when, who, order, steps };
 }
 
-// Cells in the order of their steps, those without one (-1) left out, and the steps.
+// Cells in the order of their steps, without those of step -1, and the steps.
 function inOrder(when) {
   const order = Int32Array.from(when.keys()).filter((cell) => when[cell] >= 0).sort((a, b) => when[a] - when[b]);
   return [order, order.map((cell) => when[cell])];
 }
 
-// How many of the increasing numbers are `most` or less.
+// The number of increasing values that are `most` or less.
 function upTo(numbers, most) {
   let low = 0, high = numbers.length;
   while (low < high) {
@@ -62,7 +62,7 @@ function upTo(numbers, most) {
 const cellAt = (robot, step) => robot.at[Math.min(step, robot.at.length - 1)];
 const isLost = (robot, step) => robot.lost >= 0 && robot.lost <= step;
 
-// A robot's way so far as the letters of an SVG path.
+// A robot's path so far as SVG path data.
 function trail(robot, step, cols) {
   const strokes = upTo(robot.ends, step), known = robot.at[robot.ends[strokes - 1]], now = cellAt(robot, step);
   const down = Math.floor(now / cols) - Math.floor(known / cols), across = (now % cols) - (known % cols);
@@ -70,7 +70,7 @@ function trail(robot, step, cols) {
   return robot.letters.slice(0, strokes).join("") + rest;
 }
 
-// Seconds in words, as planner/formatting.py says them.
+// Seconds as text, in the format of planner/formatting.py.
 function spoken(seconds) {
   const whole = Math.round(seconds), [large, unit, small, rest] = whole < 3600 ? [60, " min", " s", 1] : [3600, " h", " min", 60];
   if (seconds < 9.5) return Number(seconds.toPrecision(2)) + " s";

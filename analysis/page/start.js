@@ -1,10 +1,10 @@
-// What is on the page comes to life; everything can be read without.
+// Start of the interactive elements; the page is readable without them.
 for (const figure of document.querySelectorAll(".chart")) chart(figure);
 for (const group of document.querySelectorAll(".cell-maps")) maps(group);
 for (const group of document.querySelectorAll(".plan-map")) {
   player(group, layers(group));
 }
-for (const box of document.querySelectorAll(".scroll")) { // a table that is cut at the edge says so
+for (const box of document.querySelectorAll(".scroll")) { // marks tables that are cut at the edge
   new ResizeObserver(() => box.classList.toggle("cut", box.scrollWidth > box.clientWidth + 1)).observe(box);
 }
 for (const button of document.querySelectorAll(".copy")) {

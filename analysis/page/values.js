@@ -1,6 +1,6 @@
-// The box with the values under the pointer, the finger or the arrow keys; the same is said to screen readers.
+// The box with the values at the pointer, the finger or the arrow keys; screen readers get the same text.
 const tip = document.getElementById("tip"), live = document.getElementById("live");
-// No line ends between a number and its unit, as on the rest of the page.
+// No-break spaces between numbers and units, as on the rest of the page.
 const unbroken = (text) => String(text).replace(/(?<=\d) (?=[%\w\u00b1])|(?<=%) (?=\u00b1)|(?<=[\u00b1<>]) (?=\d)/g, "\u00a0");
 const make = (name, look, text) => {
   const made = document.createElement(name);

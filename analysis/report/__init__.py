@@ -1,5 +1,5 @@
-"""An answer, stated once: its room's `report.py` says it as a tree of blocks, which every medium shows in its own way.
+"""The report of a result: a tree of sections and elements, stated once in its package's `report.py`.
 
-A terminal prints it; a folder holds it as a page, text, JSON, pictures and what else it names; a console and a notebook
-show its headline and rows. A medium knows blocks, and no answer.
+Each medium renders the tree: a terminal prints it; a folder holds a page, text, JSON, pictures and other files; a
+console and a notebook show its summary and rows. A medium depends on the elements, not on the result.
 """

@@ -1,4 +1,4 @@
-"""What every answer can do: show itself, say itself as JSON, save itself; and what the answers of all searches hold."""
+"""The base class of results: display, JSON, saving to a folder; and the fields that the results of searches share."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from planner.formatting import Pace, Rows, counted, html_of, text_of
 from planner.settings import Settings
 from planner.world.world import World
 
-# Times of a JSON object in minutes beside those in steps: `time_minutes` beside `time`, and so on.
+# Times in a JSON object are given in steps and, where the step has a length, in minutes: `time` and `time_minutes`.
 
 TIMES = ("time", "time_to", "makespan", "deadline", "max_steps", "step", "steps")
 """Keys whose values are times in steps."""
 OF_AN_ESTIMATE = ("mean", "se", "ci95", "max")
 NO_TIMES = ("control",)
-"""Keys below which figures are called as times are, and are none."""
+"""Keys below which a name of TIMES is not a time."""
 
 
 def with_minutes(said: Any, pace: Pace) -> Any:
-    """What JSON holds, with the minutes of every time in it; as it is where nobody says how long a step takes."""
+    """A JSON value with the minutes of every time added; unchanged if the length of a step is not known."""
     if not pace:
         return said
     if isinstance(said, list):
@@ -51,7 +51,7 @@ def with_minutes(said: Any, pace: Pace) -> Any:
 
 
 def _minutes(value: Any, name: str, pace: Pace) -> Any:
-    """A number, numbers or an estimate in steps, in minutes; None for anything else."""
+    """A number, a list or an estimate in steps, converted to minutes; None for other values."""
     if isinstance(value, Mapping):
         kept = value if name == "time_to" else [key for key in OF_AN_ESTIMATE if key in value]
         return {key: _minutes(value[key], "", pace) for key in kept} or None
@@ -60,9 +60,7 @@ def _minutes(value: Any, name: str, pace: Pace) -> Any:
     return None if value is None or isinstance(value, bool | str) else value * pace.minutes
 
 
-# What every answer can do, whatever it is the answer to: show itself, say itself as JSON, save itself in a folder.
-
-# A report on a terminal, in a folder, as JSON, in a console.
+# A result on a terminal, in a folder, as JSON, in a console.
 
 FORMAT = 2
 """Of the JSON object of a report: 2 since release 0.4, which renamed keys (CHANGELOG.md)."""
@@ -71,7 +69,7 @@ WIDE = 140
 
 
 def as_json(value: Any) -> Any:
-    """A value as JSON has it: as it says itself, data by name, arrays and tuples as lists, the undefined as None."""
+    """A JSON value: `to_json()` if it exists, dataclasses by field, arrays and tuples as lists, NaN and inf as None."""
     if hasattr(value, "to_json"):
         return as_json(value.to_json())
     if is_dataclass(value):
@@ -82,6 +80,7 @@ def as_json(value: Any) -> Any:
         return [as_json(one) for one in value]
     if isinstance(value, np.ndarray | np.generic):
         return as_json(value.tolist())
+    # JSON has neither NaN nor infinity.
     return None if isinstance(value, float) and not isfinite(value) else value
 
 
@@ -92,15 +91,17 @@ def json_of(report: Report) -> Any:
 
 
 def rows_of(report: Report) -> Rows:
-    """Names and values of a console and a notebook: the key figures, and what a user should know."""
+    """Names and values for a console or a notebook: the key figures and the notes."""
     figures = [(one.name, f"{one.value} ({one.note})" if one.note else one.value) for one in report.figures]
     return [*figures, *(("note", note) for note in report.notes)]
 
 
 def print_report(report: Report, console: Console, earlier: Report | None = None) -> None:
-    """For a person at a terminal: the answer, how sure it is, what was looked at, tables and how to read them.
+    """Print a report on a terminal: summary, findings, inputs, tables, notes.
 
-    `earlier`: a report of less, which was printed already: its lines and tables are left out.
+    Args:
+        report: the report. console: where it is printed.
+        earlier: a report that was printed before; its lines and tables are omitted.
     """
     printed = [] if earlier is None else [_content(one) for one in _printed(earlier)]
     new = [one for one in _printed(report) if _content(one) not in printed]
@@ -114,7 +115,7 @@ def print_report(report: Report, console: Console, earlier: Report | None = None
 
 
 def _printed(report: Report) -> Iterator[str | Table]:
-    """The lines and tables of a terminal, in order."""
+    """The lines and tables for a terminal, in order."""
     yield from (report.headline, *report.findings)
     yield from [""] if report.last else [*report.heading, *report.took]
     for part in report.parts:
@@ -125,22 +126,29 @@ def _printed(report: Report) -> Iterator[str | Table]:
 
 
 def _content(one: str | Table) -> object:
-    """A line, or a table's title and cells, to compare."""
+    """A line, or a table's title and cells, for comparison."""
     return one if isinstance(one, str) else (one.title, [[column.header, *column.cells] for column in one.columns])
 
 
 def save_report(
     report: Report, folder: Path, command: str, spare: Iterable[Path] = (), force: bool = True
 ) -> list[Path]:
-    """Write the page, the text, the JSON object, pictures and files into `folder`; returns them.
+    """Write the page, the text, the JSON object, pictures and files into `folder`, and return their paths.
 
-    `command`: the command line that made it, for the page. `spare`: files that are not replaced by another content;
-    where one would be, all go to a folder within, of the report's name: they name each other. `force`: other files that
-    are there already are replaced; else a UsageError.
+    Args:
+        report: the report. folder: is created if it does not exist.
+        command: the command line that made the report, for the page.
+        spare: files that must not be replaced by other content. In a conflict, all files go to a subfolder named after
+            the report, because they refer to each other.
+        force: replace other files that exist.
+
+    Raises:
+        UsageError: a file exists and `force` is False.
     """
     from analysis.pictures import png_of
     from analysis.report.rendering import figure_of, page_of
 
+    # All contents are made before the first write, so that an error leaves the folder unchanged.
     pictures = {name: png_of(figure_of, report, name) for name in report.pictures}
     files: dict[str, str | bytes] = {
         f"{report.name}.txt": as_text(lambda console: print_report(report, console), WIDE),
@@ -156,25 +164,25 @@ def save_report(
 
 
 def _replaces(file: Path, content: str | bytes, spared: Collection[Path]) -> bool:
-    """Whether a file that is to be spared would come to hold something else."""
+    """Whether writing `content` would change a file that must be kept."""
     held = content.encode() if isinstance(content, str) else content
     return file.resolve() in spared and file.is_file() and file.read_bytes() != held
 
 
 MOST_SENTENCES = 6
-"""Of a report's findings that a console or a notebook shows."""
+"""Most findings of a report that a console or a notebook shows."""
 
 
 class Answer:
-    """What every answer is: stated by the function that `reported_by` names."""
+    """Base class of all results. Its report is made by the function that `reported_by` names."""
 
     reported_by: ClassVar[str]
-    """The function that makes its `Report`, as "module:function": reports load what answers do without."""
+    """The function that makes its `Report`, as "module:function", imported on demand: reports load slow packages."""
 
     partial: bool
-    """It was interrupted, and holds what was done."""
+    """Whether the computation was interrupted; the result then holds the part that was done."""
     listed: ClassVar[str] = ""
-    """What its JSON object lists, a row each of `to_dataframe`; "": the object itself is the one row."""
+    """Key of the list in the JSON object that gives the rows of `to_dataframe`; "": the object is the only row."""
 
     def to_json(self) -> Json:
         """The JSON object that the command prints."""
@@ -182,20 +190,24 @@ class Answer:
         return said
 
     def to_dataframe(self) -> Any:
-        """What it lists as a pandas DataFrame (the extra `pandas`), with columns as its JSON object names them."""
+        """The result as a pandas DataFrame (needs the extra `pandas`); its columns are the JSON object's keys."""
         said = self.to_json()
         rows = said[self.listed] if self.listed else [said]
         return frame_of([{"figure": name, **row} for name, row in rows.items()] if isinstance(rows, dict) else rows)
 
     def save(self, folder: str | Path, *, force: bool = False) -> list[Path]:
-        """Write what the command's `--out` writes; returns the files.
+        """Write the files that the command's `--out` writes, and return their paths.
 
-        `force`: replace files that are there already; without it that is a UsageError, and nothing is written.
+        Args:
+            folder: is created if it does not exist. force: replace files that exist.
+
+        Raises:
+            UsageError: a file exists and `force` is False. Nothing is written.
         """
         return save_report(report_of(self), Path(folder), "", force=force)
 
     def _brief(self) -> tuple[str, Sequence[str], Rows]:
-        """What a console or a notebook shows of an answer, a screen at most: the answer, sentences, key figures."""
+        """The text for a console or a notebook, at most a screen: summary, sentences, key figures."""
         said = report_of(self)
         return f"{type(self).__name__}: {said.headline}", said.findings[:MOST_SENTENCES], rows_of(said)
 
@@ -210,30 +222,31 @@ class Answer:
 
 
 def report_of(answer: Answer) -> Report:
-    """The report of an answer, by the function that its type names."""
+    """The report of a result, from the function that its class names."""
     module, _, function = answer.reported_by.partition(":")
     said: Report = getattr(import_module(module), function)(answer)
     return said
 
 
 def json_end(answer: Answer, notes: Sequence[str] = ()) -> Json:
-    """What an answer's JSON object ends with: the version, whether it is partial, notes if there are any."""
+    """The last keys of a result's JSON object: version, `partial` if it was interrupted, notes if there are any."""
     partial: Json = {"partial": True} if answer.partial else {}
     return {"version": version("mrac-jax")} | partial | ({"notes": list(notes)} if notes else {})
 
 
-# What the answers of all searches hold: on which map, by whose settings, on whose luck, and how far.
+# Fields that the results of all searches share: map, settings, random numbers, extent.
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Searched(Answer):
-    """What they share.
+    """Base class of the results of searches.
 
     Attributes:
-        world, settings: the map, and what plans are made with. cells: accessible cells.
-        choices: what was rolled out: most rollouts of each, seed, the step at which every mission ends.
-        engine: that rolled out; "": all is exact. words: of the command `evaluate` for this input; empty in Python.
-        partial: it was interrupted, and holds what was done. notes: what a user should know.
+        world, settings: the map and the settings of the plans. cells: number of accessible cells.
+        choices: most rollouts of each candidate, seed, step at which every mission ends.
+        engine: the engine that simulated rollouts; "" if every value is exact.
+        words: arguments of the command `evaluate` for this input; empty in Python.
+        partial: whether the search was interrupted. notes: remarks for the user.
     """
 
     world: World
@@ -247,13 +260,13 @@ class Searched(Answer):
 
     @property
     def exact(self) -> bool:
-        """Whether nothing was rolled out."""
+        """Whether all values are exact, without rollouts."""
         return not self.engine
 
 
-# What reports say alike: on which map, on whose luck, how much is covered and lost, where an interval lies.
+# Phrases that reports share: the map, the random numbers, coverage and losses, intervals.
 
-EXACT = "exact: nothing was rolled out"
+EXACT = "exact, without rollouts"
 
 
 def asked(world: World, robots: int, question: str) -> str:
@@ -262,37 +275,37 @@ def asked(world: World, robots: int, question: str) -> str:
 
 
 def map_words(world: World, cells: int, robots: int = 0) -> str:
-    """ "site.npz: 14 x 23 cells of 1 m, 300 accessible; 3 robots"; the team where there is one."""
+    """ "site.npz: 14 x 23 cells of 1 m, 300 accessible; 3 robots"; without robots, the map alone."""
     height, width = world.shape
     size = f"{height} x {width} cells of {world.cell_size:g} m, {cells:,} accessible"
     return f"{world.name}: {size}" + (f"; {counted(robots, 'robot')}" if robots else "")
 
 
 def luck_words(world: World, choices: RolloutChoices, engine: str, rolled: str = "") -> str:
-    """ "seed 0, numba", after what was `rolled` out; without an engine, that nothing was."""
+    """The source of the figures: "seed 0, numba" after the text `rolled`; EXACT without an engine."""
     ends = "" if choices.deadline is None else f", every mission ended at {world.pace.step(choices.deadline)}"
     return (f"{rolled}seed {choices.seed}, {engine}" if engine else EXACT) + ends
 
 
 def sourced(rollouts: int, said: str) -> str:
-    """Where the figures of what was found come from, and they: "Exact expectation: 88.67 % covered"."""
+    """A sentence with its source: "Exact expectation: 88.67 % covered"."""
     return f"Fresh rollouts: {said}" if rollouts else f"Exact expectation: {said.replace(' (exact)', '')}"
 
 
 def share_figure(estimate: Estimate, name: str, note: str = "") -> KeyFigure:
-    """A share as a key figure, with its interval."""
+    """A fraction as a key figure in percent, with its interval."""
     mean, interval = estimate.columns(100.0, 100)
     return KeyFigure(f"{mean} %", name, in_unit(interval) + note)
 
 
 def run_again(words: Sequence[str], how: Sequence[str], choices: RolloutChoices, *, exact: bool) -> str:
-    """The command that evaluates what a search found; by another seed, whose luck had no part in it, if not `exact`."""
-    luck = [] if exact else ["--rollouts", str(choices.rollouts), "--seed", str(choices.next_seed)]
-    return shlex.join(["mrac-jax", "evaluate", *words, *how, *luck])
+    """The command that evaluates the result of a search; with a seed that the search did not use, if not `exact`."""
+    fresh = [] if exact else ["--rollouts", str(choices.rollouts), "--seed", str(choices.next_seed)]
+    return shlex.join(["mrac-jax", "evaluate", *words, *how, *fresh])
 
 
 def search_end(answer: Any) -> Json:
-    """What the JSON object of a search ends with: team, map, rollouts, and what every object ends with."""
+    """The last keys of a search's JSON object: team, map, rollouts, and the keys of `json_end`."""
     choices = answer.choices
     return {
         "robots": len(answer.starts),
@@ -307,6 +320,6 @@ def search_end(answer: Any) -> Json:
 
 
 def team_figure(estimate: Estimate, robots: int, name: str = "robots lost") -> KeyFigure:
-    """Of so many robots those that are lost, or what `name` says, as a key figure."""
+    """The number of lost robots, or another number that `name` states, of `robots` as a key figure."""
     mean, interval = losses_shown(estimate, robots)
     return KeyFigure(mean, name, interval)

@@ -1,4 +1,4 @@
-"""What a report is made of. Charts, maps and pictures are drawn when a medium asks for them."""
+"""The elements of a report. Charts, maps and pictures are drawn on demand."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class KeyFigure:
-    """A figure that the reader takes away: "72.0 %", what it is, and how sure."""
+    """A key figure: its value ("72.0 %"), its name, and its interval."""
 
     value: str
     name: str
@@ -33,14 +33,14 @@ class KeyFigure:
 
 @dataclass(frozen=True, eq=False)
 class CellMaps:
-    """Values by cell of one map: side by side on a page; a picture is of the first.
+    """Values by cell of one map, shown side by side on a page; a picture shows the first layer.
 
     Attributes:
-        world: the map. starts: int64 `[K, 2]`, which are marked. layers: the values.
-        parts: (name, cells int64 `[n]`, whether it stands out) of what a picture outlines; the first are named.
-        lines: what a picture lists beside the map.
-        plan: whose paths a page draws over the cells. runs: what it plays there, and words about them.
-        anchor: the id of the maps on a page. values_of: that of maps of the same cells whose values are told too.
+        world: the map. starts: int64 `[K, 2]`, marked on it. layers: the values.
+        parts: (name, cells int64 `[n]`, highlighted) outlined in a picture; the first ones are labelled.
+        lines: text lines next to the map in a picture.
+        plan: plan whose paths a page draws. runs: the runs that the page plays, and their caption.
+        anchor: HTML id of the maps. values_of: HTML id of other maps of the same cells, whose values are shown too.
     """
 
     world: World
@@ -56,7 +56,7 @@ class CellMaps:
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """A plan on its map, for a picture; `more`: words that end its second line."""
+    """A plan on its map, for a picture; `more`: text at the end of its second line."""
 
     world: World
     plan: Plan
@@ -69,15 +69,15 @@ Pictured: TypeAlias = "Figure | Planned | CellMaps | Sequence[Chart]"
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A section: tables, which a terminal prints too, and what only a page can draw.
+    """A section: tables, which a terminal also prints, and charts and maps, which only a page draws.
 
     Attributes:
-        title: its heading. tables: in order. notes: how to read them.
-        drawn: charts and maps above the tables, made when a page is. lead: a line below the heading.
-        whole: tables that a page, which has room, shows in the place of `tables`.
-        unfolded: of a page's tables, whether the first is shown at once however long it is.
-        fold: words that unfold the part on a page; "": it is always shown.
-        aside: a terminal, which has no room for everything, leaves it out.
+        title: heading. tables: in order. notes: how to read them.
+        drawn: makes the charts and maps above the tables. lead: a line below the heading.
+        whole: longer tables that replace `tables` on a page.
+        unfolded: whether the first table of the page is shown in full.
+        fold: label of the control that opens the section on a page; "": the section is always open.
+        aside: the section is shown on a page only, not on a terminal.
     """
 
     title: str
@@ -93,20 +93,20 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """What there is to say.
+    """A report: everything that any medium shows of a result.
 
     Attributes:
-        name: of the files that hold it. kind: the command. title: the question. headline: the answer in a sentence.
-        findings: sentences below it. figures: the few that a reader takes away. heading: what was looked at, lines.
-        picture: what stands beside the answer on a page. below: charts below its sentences.
-        parts: in order. notes: what a user should know.
-        warnings: what must not be overlooked. settings: names and values of a page, beside `heading`.
-        took: how long it took, for a terminal alone: the same answer has the same page.
-        last: what was looked at and how long it took, in the place of `heading` and `took` but below the tables.
-        again: on what makes the same figures again, where that is not plain.
-        json: the JSON object.
-        pictures: by file name, drawn when they are written. files: the texts of others.
-        faults: what makes the command fail. pace: how long a step takes, if that is known: for the JSON object.
+        name: stem of its file names. kind: the command. title: the question. headline: the answer in one sentence.
+        findings: sentences after it. figures: key figures. heading: lines on the input.
+        picture: chart or map next to the answer on a page. below: charts after its sentences.
+        parts: sections in order. notes: remarks for the user.
+        warnings: important remarks. settings: names and values on a page, after `heading`.
+        took: computing time, on a terminal only, so that equal results have equal pages.
+        last: input and computing time, printed after the tables instead of `heading` and `took`.
+        again: how to reproduce the figures, if the command alone is not sufficient.
+        json: makes the JSON object.
+        pictures: by file name, drawn when they are written. files: the contents of other files.
+        faults: failures that make the command exit with an error. pace: length of a step if known, for the JSON object.
     """
 
     name: str

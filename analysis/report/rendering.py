@@ -1,4 +1,4 @@
-"""A report as a page, and its charts and maps as pictures for slides and papers."""
+"""Rendering of a report: its page, and its charts and maps as pictures for slides and papers."""
 
 from __future__ import annotations
 
@@ -56,21 +56,23 @@ from analysis.pictures import (
 )
 from analysis.report.model import CellMaps, Part, Planned, Report
 
-# A report as a page.
+# The page of a report.
 
 BROAD = 1.6
-"""Times as wide as high from which a map stands below the answer."""
+"""Ratio of width to height above which a map is placed below the answer instead of next to it."""
 
 
 def page_of(report: Report, command: str, pictures: Mapping[str, bytes], files: Sequence[str]) -> str:
-    """The page as HTML; the same report gives the same bytes.
+    """The page as HTML. Equal reports give equal bytes.
 
     Args:
-        command: the command line that made it. pictures: PNG files by name. files: names of those beside the page.
+        report: the report. command: the command line that made it.
+        pictures: PNG files by name. files: names of the other files in the folder.
     """
     shown = None if report.picture is None else report.picture()
     height, width = shown.world.shape if isinstance(shown, CellMaps) else (1, 1)
     said, notes = report.findings, [f"Note: {note}" for note in report.notes]
+    # With a picture the sentences are next to it; without one they are a section.
     findings = [] if shown is not None else [*said, *report.notes]
     words, notes = (said, notes) if shown is not None else ([], [])
     sections = (
@@ -96,7 +98,7 @@ def _section(part: Part) -> Section:
 
 
 def _charts(charts: Sequence[Chart], heading: str = "h3") -> Html:
-    """Side by side where there are some."""
+    """The charts side by side; charts without data are omitted."""
     return block("charts", [html for chart in charts if (html := curves_html(chart, heading))])
 
 
@@ -105,28 +107,28 @@ def _html(drawn: Chart | CellMaps) -> Html:
 
 
 def _maps_html(maps: CellMaps) -> Html:
-    """The maps; those of a plan with its paths and runs."""
+    """The maps; for a plan, with its paths and runs."""
     world, plan = maps.world, maps.plan
     if plan is not None:
         return plan_map_html(maps.layers, world, plan, *maps.runs, values_of=maps.values_of)
     return cell_maps_html(maps.layers, world, np.unique(maps.starts, axis=0), anchor=maps.anchor)
 
 
-# Charts and maps as pictures for slides and papers: what a page shows, on paper.
+# Charts and maps as pictures for slides and papers.
 
 HIGH, ABOVE, ENTRY = 2.4, 0.85, 0.19
-"""Inches: a chart's height, what is above it, a line of its legend."""
+"""Inches: height of a chart, space above it, height of a line of its legend."""
 LETTERS, SMALLER = 95, 125
-"""Of a title in a figure's whole width, and of what is said below it."""
+"""Characters over the width of a figure: of a title, and of the text below it."""
 FEW = 12
-"""Values of x that are each labelled."""
+"""Most values of x that are labelled one by one."""
 PICK, BORDER = "#b3263a", "#6b5b52"
 NAMED, LONGEST = 12, 14
-"""Parts of a map that are named where there is room, and letters that a name may have."""
+"""Most parts of a map that are labelled, and most characters of a label."""
 
 
 def figure_of(report: Report, name: str) -> Figure:
-    """A picture of a report."""
+    """The picture `name` of a report."""
     drawn = report.pictures[name]()
     if isinstance(drawn, Figure):
         return drawn
@@ -136,7 +138,7 @@ def figure_of(report: Report, name: str) -> Figure:
 
 
 def layer_figure(maps: CellMaps) -> Figure:
-    """The first layer on its map: discs or cells by value, parts with their borders and names, starts."""
+    """The first layer on its map: discs or coloured cells, outlined and labelled parts, starts."""
     world, starts, layer = maps.world, maps.starts, maps.layers[0]
     accessible, scaled = world.accessible(starts), 100.0 if layer.unit else 1.0
     figure, layout = map_figure(world, 5)
@@ -160,7 +162,7 @@ def layer_figure(maps: CellMaps) -> Figure:
 
 
 def _draw_parts(axes: Axes, maps: CellMaps, points: float) -> None:
-    """Each with a border of its own, as they may overlap; the first with their names where there is room."""
+    """Outline each part separately, because parts may overlap; label the first ones where the labels fit."""
     shape, thin, thick = maps.world.shape, min(0.8, 0.06 * points), float(np.clip(0.16 * points, 1.2, 2.4))
     for _, cells, stands_out in sorted(maps.parts, key=lambda part: part[2]):
         inside = np.zeros(shape, dtype=np.int64)
@@ -179,20 +181,20 @@ def _draw_parts(axes: Axes, maps: CellMaps, points: float) -> None:
 
 
 def _short(names: Sequence[str]) -> str:
-    """The first of some names, and that there are more."""
+    """The first of some names, with "+" if there are more."""
     name = names[0].removeprefix("area ")
     return (name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…") + ("+" if len(names) > 1 else "")
 
 
 def _middle(cells: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int64]:
-    """The cell of a part that is nearest to its middle, (row, col)."""
+    """The cell of a part that is nearest to its centroid, (row, col)."""
     places = np.stack(np.divmod(cells, shape[1]), axis=1)
     middle: NDArray[np.int64] = places[np.sum((places - places.mean(axis=0)) ** 2, axis=1).argmin()]
     return middle
 
 
 def charts_figure(charts: Sequence[Chart]) -> Figure:
-    """The charts, two abreast where there are several; bars and bands are 95 % intervals unless a chart says else."""
+    """The charts in one figure, two in a row; bars and bands are 95 % intervals unless a chart states otherwise."""
     across = min(len(charts), 2)
     wide = (WIDTH - 0.75 * across - 0.2) / across
     below = 0.65 + ENTRY * max(len((*chart.series, *chart.at_x, *chart.at_y)) for chart in charts)

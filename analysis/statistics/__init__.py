@@ -1,1 +1,1 @@
-"""Means, intervals and quantiles of integer counts; the control by luck, and differences."""
+"""Means, intervals and quantiles of integer counts; the control variate; paired differences."""

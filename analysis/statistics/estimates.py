@@ -1,6 +1,6 @@
 """Estimates from tallies: means, standard errors, intervals and quantiles of integer histograms.
 
-Every figure comes from integer counts, so it depends on which rollouts were run and on nothing else.
+Every figure is computed from integer counts. It depends only on the set of rollouts, not on their order.
 """
 
 from __future__ import annotations
@@ -21,35 +21,35 @@ from planner.files import Json
 from planner.formatting import NOTHING, inside, percent
 from planner.tally import Tally
 
-# Intervals that hold together, for any number of rollouts looked at: means and chances.
+# Simultaneous confidence intervals for means and probabilities, for any number of rollouts.
 
 ALPHA = 0.05
-"""Chance that any of the verdicts of one search is wrong, at most."""
+"""Largest probability that any claim of one search is wrong."""
 ROUNDING = 1e-9
-"""What is short of a threshold by less than this reaches it: exact values are sums of many roundings."""
+"""Tolerance at thresholds: exact values are sums of many rounded terms."""
 
 
 def is_at_least(interval: tuple[float, float], wanted: float, slack: float = ROUNDING) -> bool | None:
-    """Whether what lies in the interval is `wanted` or more, to `slack`; None: that depends on where it lies."""
+    """Whether a value in the interval is at least `wanted`, to `slack`; None: the interval contains `wanted`."""
     low, high = interval
     return True if low >= wanted - slack else False if high < wanted - slack else None
 
 
 def share_of_doubt(teams: int, looks: int) -> float:
-    """The chance of error of a single look at a single team: ALPHA shared by Bonferroni among all that may be taken.
+    """Error probability of one look at one team: ALPHA divided among all possible looks (Bonferroni).
 
-    Every team that the search may look at is looked at up to `looks` times, and the search goes where the verdicts
-    lead it; the union bound over all `teams * looks` of them holds whatever the order and the stopping.
+    Every team may be looked at up to `looks` times. The union bound over all `teams * looks` intervals holds for any
+    order and any stopping rule.
     """
     return ALPHA / (teams * looks)
 
 
 def mean_interval(counts: NDArray[np.int64], alpha: float) -> tuple[float, float]:
-    """An interval that misses the mean of `0, 1, ..., len(counts) - 1` drawn as `counts` with chance <= `alpha`.
+    """An interval that misses the mean of `0, 1, ..., len(counts) - 1` drawn as `counts` with probability <= `alpha`.
 
     The empirical Bernstein bound of Maurer & Pontil (COLT 2009, Theorem 4), alpha/2 for each end:
     `mean +- (sqrt(2 V L / n) + 7 range L / (3 (n - 1)))`, `L = ln(4 / alpha)`, V the sample variance. It holds for
-    every n and every distribution, where a normal interval so far out in the tail would rest on the sample's shape.
+    every n and every distribution; a normal interval at so small an alpha depends on the shape of the distribution.
     """
     n, most = int(counts.sum()), len(counts) - 1
     if n < 2:
@@ -65,8 +65,8 @@ def mean_interval(counts: NDArray[np.int64], alpha: float) -> tuple[float, float
 def chance_interval(successes: int, n: int, alpha: float) -> tuple[float, float]:
     """The exact binomial interval of Clopper & Pearson: it misses the probability with chance <= `alpha`, for every n.
 
-    Wilson's, which the tables show of chances far from 0 and 1, is the closer one at 95 %, but covers less than it says
-    far out in the tails.
+    Wilson's interval, which tables show for probabilities away from 0 and 1, is narrower at 95 %, but its coverage is
+    too low at small alpha.
     """
     low = 0.0 if successes == 0 else float(betaincinv(successes, n - successes + 1, alpha / 2))
     high = 1.0 if successes == n else float(betaincinv(successes + 1, n - successes, 1 - alpha / 2))
@@ -74,21 +74,21 @@ def chance_interval(successes: int, n: int, alpha: float) -> tuple[float, float]
 
 
 BETS = np.array([0.99, 0.9, 0.75, *(0.5 ** np.arange(1.0, 12.0))])
-"""Shares of what one has that may be lost on a value in `bet_interval`, float64 `[14]`."""
+"""Fractions of the capital that `bet_interval` bets on each value, float64 `[14]`."""
 
 
 def bet_interval(values: NDArray[np.float64], alpha: float) -> tuple[float, float]:
-    """An interval for the mean of `values` `[n]` in -1 .. 1 that misses it with chance <= `alpha`, whenever one looks.
+    """An interval for the mean of `values` `[n]` in -1 .. 1 with error probability <= `alpha` at any stopping time.
 
-    The mean may lie above m unless somebody who bets that it does grows rich: who holds 1 and puts the share b of it on
-    every value has `prod (1 - b + b (1 + x) / (1 + m))`, a supermartingale if the mean is m or below, which ever comes
-    to 2 / alpha with chance <= alpha / 2 (Ville's inequality), for any distribution. So does the mean over BETS. The
-    interval holds what is refuted from neither side (Waudby-Smith & Ramdas, "Estimating means of bounded random
-    variables by betting", JRSS B 2024). Below a thousand values that scatter little, an empirical Bernstein bound is
-    many times as wide.
+    A bettor starts with capital 1 and bets the fraction b on each value, so that the capital is
+    `prod (1 - b + b (1 + x) / (1 + m))`. If the mean is at most m, this is a supermartingale, which reaches 2 / alpha
+    with probability <= alpha / 2 (Ville's inequality), for any distribution. The average over BETS has the same
+    property. The interval contains the values m that neither side rejects (Waudby-Smith & Ramdas, "Estimating means of
+    bounded random variables by betting", JRSS B 2024). For fewer than a thousand values of small variance, an empirical
+    Bernstein bound is many times wider.
     """
     enough = np.log(2.0 / alpha) + np.log(len(BETS))
-    different, times = np.unique(values, return_counts=True)  # shares of cells: few of many
+    different, times = np.unique(values, return_counts=True)  # few different values
 
     def least(values: NDArray[np.float64]) -> float:
         def rich(mean: float) -> float:
@@ -101,22 +101,21 @@ def bet_interval(values: NDArray[np.float64], alpha: float) -> tuple[float, floa
     return least(different), -least(-different)
 
 
-# Figures as far as their intervals allow: how many digits, how an interval is rounded, what is almost none.
+# Formatting of figures by their intervals: number of digits, rounding of intervals, values near none and all.
 
 MOST_DIGITS = 4
-"""Decimals that tell a sampled figure apart from none and all."""
+"""Decimals that distinguish a sampled figure from none and all."""
 
 
 def digits_of(half: float) -> int:
-    """The fewest decimals with which a figure, rounded, stays within `half` of itself: what its interval allows."""
+    """The fewest decimals with which a rounded figure stays within `half` of itself."""
     return max(0, ceil(-log10(2.0 * half) - 1e-9))
 
 
 def between(low: float, high: float, digits: int = 2, most: float | None = None, less: str = "less") -> str:
-    """An interval as "85.60 .. 85.76", rounded outwards; "" where nothing is known.
+    """An interval as "85.60 .. 85.76", rounded outwards; "" if it is unknown.
 
-    Of a figure in 0 .. `most`: "0.40 or less" (or "fewer") where it begins at 0, "99.60 or more" where it ends at
-    `most`.
+    For a figure in 0 .. `most`: "0.40 or less" (or "fewer") if it begins at 0, "99.60 or more" if it ends at `most`.
     """
     if not (isfinite(low) and isfinite(high)):
         return ""
@@ -129,7 +128,7 @@ def between(low: float, high: float, digits: int = 2, most: float | None = None,
 
 
 def in_unit(interval: str, unit: str = " %") -> str:
-    """An interval as of `between` with its unit: "99.5 % or more", "56.4 .. 56.6 %"; as it is where it is none."""
+    """An interval from `between` with its unit: "99.5 % or more", "56.4 .. 56.6 %"; "" and "exact" are unchanged."""
     if interval in ("", "exact"):
         return interval
     ends, comma, how = interval.partition(", ")
@@ -138,9 +137,9 @@ def in_unit(interval: str, unit: str = " %") -> str:
 
 
 def lost_words(mean: float, robots: int, digits: int = 2) -> str:
-    """A mean number of robots lost: "1.87 of 5", "all 5"; what is not quite none or all of them is never said to be.
+    """A mean number of lost robots: "1.87 of 5", "all 5"; a value near none or all is not rounded to it.
 
-    One decimal at least, two where fewer would say none or all; "almost" what two decimals cannot tell apart.
+    One decimal at least, two if one would give none or all; "almost" if two are not sufficient.
     """
     all_of_them = {1: "the robot", 2: "both robots"}.get(robots, f"all {robots}")
     if mean in (0, robots):
@@ -151,34 +150,34 @@ def lost_words(mean: float, robots: int, digits: int = 2) -> str:
 
 
 def robots_words(mean: float, robots: int, digits: int = 2) -> str:
-    """`lost_words` with what they count: "no robot", "both robots", "all 5 robots", "1.87 of 5 robots"."""
+    """`lost_words` with the noun: "no robot", "both robots", "all 5 robots", "1.87 of 5 robots"."""
     words = lost_words(mean, robots, digits) if mean else "no robot"
     return words if words.endswith(("robot", "robots")) else f"{words} robot{'s' * (robots != 1)}"
 
 
 def of_all(mean: float, robots: int, digits: int = 2) -> str:
-    """A mean number of so many robots in figures: "1.87", "> 4.99"; one decimal at least, two where few would lie."""
+    """A mean number of `robots` in digits: "1.87", "> 4.99"; one decimal at least, two if one would mislead."""
     return inside(mean, robots, max(digits, 1), 2)
 
 
 Z95 = float(ndtri(0.975))
 QUANTILES = (0.05, 0.5, 0.95)
 MISSED = 6
-"""Rare events that an interval allows for beyond those that were seen."""
+"""Unseen rare events that an interval allows for."""
 MOST_MISSED = 15
-"""They widen the squared standard error by at most so many times its value over the rollouts on the thinner side."""
+"""The squared standard error grows at most by this factor over the number of rollouts on the thinner side."""
 NONE_SEEN = -math.log(0.025)
-"""Expected events of which none is seen in one sample of 40: the rule of three, at 97.5 %."""
+"""Expected number of events of which none is seen with probability 1/40: the rule of three, at 97.5 %."""
 FIRST_LOOK = 1024
-"""Rollouts before which nobody looks whether they are precise enough."""
+"""Rollouts before the first test of the precision."""
 ENOUGH = 30
-"""Rollouts on the thinner side of the mean around which the allowance for what was not seen fades."""
+"""Rollouts on the thinner side of the mean at which the allowance for unseen values fades."""
 RARE = 100
 """Rollouts of the rarer kind up to which a probability has Clopper & Pearson's interval."""
 ROUNDED = 1e-9
-"""By how much a printed end may seem to leave what is possible."""
+"""Tolerance for printed ends of an interval beyond the possible range."""
 FEW = 5
-"""Different values that are few: then the allowance does not fade."""
+"""Number of different values up to which the allowance does not fade."""
 
 
 @dataclass(frozen=True)
@@ -191,17 +190,17 @@ class Estimate:
 
     @property
     def half_width(self) -> float:
-        """Half the width of the interval before it was clipped to what is possible."""
+        """Half the width of the interval before it was clipped to the possible range."""
         return max(self.ci95[1] - self.mean, self.mean - self.ci95[0])
 
     def said(
         self, scale: float = 1.0, unit: str = "", most: int | None = None, least: int = 0, less: str = "less"
     ) -> str:
-        """The mean, times `scale`, with the half-width of its interval: "67.35 % ± 0.14 (95 %)"; a point is exact.
+        """The mean, times `scale`, with the half-width of its interval: "67.35 % ± 0.14 (95 %)".
 
-        With the interval itself where the half-width would leave 0 .. `most`, or go below 0 where nothing does:
-        "99.8 % (99.5 or more, 95 %)". `unit`: what is said in " %" is a share, of which the most is 100. `least`: so
-        many decimals at least. `less`: "fewer" of what is counted.
+        The interval itself is given if the half-width would leave 0 .. `most`, or go below 0 for non-negative values:
+        "99.8 % (99.5 or more, 95 %)"; "exact" for a point. `unit`: " %" implies `most` = 100. `least`: fewest decimals.
+        `less`: "fewer" for counts.
         """
         most, digits = 100 if unit == " %" else most, max(self.digits(scale), least)
         mean, interval = self._figures(scale, most, digits, less=less)
@@ -211,15 +210,15 @@ class Estimate:
         return f"{mean}{unit} ± {half} (95 %)" if half else f"{mean}{unit} ({interval}, 95 %)"
 
     def more(self, scale: float = 1.0, unit: str = "", words: tuple[str, str] = ("more", "fewer")) -> str:
-        """A difference in good words: "4.1 cells ± 0.2 (95 %) more"; below 0 "0.3 cells ± 0.2 (95 %) fewer"."""
+        """A difference as text: "4.1 cells ± 0.2 (95 %) more"; below 0 "0.3 cells ± 0.2 (95 %) fewer"."""
         return f"{(self if self.mean >= 0 else self.negated).said(scale, unit)} {words[self.mean < 0]}"
 
     def around(
         self, scale: float = 1.0, sign: str = "", most: int | None = None, digits: int = 1, unit: str = ""
     ) -> str:
-        """ "67.4 ± 0.1", for a table; the mean alone where nobody knows how sure it is. `sign`: "+" shows it.
+        """ "67.4 ± 0.1", for a table; the mean alone if its interval is unknown. `sign`: "+" prints the sign.
 
-        As of `said`: "0.0 (30.0 or less)" where the half-width would leave 0 .. `most`, "67.35 (exact)". `unit`:
+        As in `said`: "0.0 (30.0 or less)" if the half-width would leave 0 .. `most`, "67.35 (exact)". `unit`:
         "67.4 ± 0.1 %", "67.35 % (exact)".
         """
         mean, interval = self._figures(scale, most, digits, sign)
@@ -229,14 +228,14 @@ class Estimate:
         return f"{mean} ± {half}{unit}" if half else f"{mean}{unit} ({interval})"
 
     def digits(self, scale: float = 1.0) -> int:
-        """The decimals that the interval allows of the mean times `scale`; two of what is known or has no interval."""
+        """The decimals that the interval allows for the mean times `scale`; two for an exact or unknown interval."""
         half = scale * self.half_width
         return digits_of(half) if half > 0 and math.isfinite(half) else 2
 
     def columns(self, scale: float = 1.0, most: int | None = None) -> tuple[str, str]:
         """Mean and interval, times `scale`, with the decimals that the interval allows: ("56.5", "56.4 .. 56.6").
 
-        `most`: the figure lies in 0 .. `most`, and neither end is claimed of what is not there (`between`, `inside`).
+        `most`: the figure lies in 0 .. `most`; values near an end are not rounded to it (`between`, `inside`).
         """
         return self._figures(scale, most, self.digits(scale))
 
@@ -244,20 +243,20 @@ class Estimate:
         self, scale: float, most: int | None, digits: int, sign: str = "", less: str = "less"
     ) -> tuple[str, str]:
         mean, (low, high) = scale * self.mean, (scale * end for end in self.ci95)
-        if most is not None and 0 <= mean <= most:  # some intervals are not clipped to what is possible
+        if most is not None and 0 <= mean <= most:  # some intervals are not clipped to the possible range
             low, high = max(low, 0.0), min(high, float(most))
         if most is None:
             shown = f"{mean:{sign}z,.{digits}f}"
             if low == high and mean and float(shown.replace(",", "")) == 0:
-                shown = f"{mean:{sign}.2g}"  # what is known and is not 0 is not said to be
+                shown = f"{mean:{sign}.2g}"  # an exact value other than 0 is not printed as 0
         else:
             shown = inside(mean, most, digits, digits if low == high else MOST_DIGITS)
-        if not math.isfinite(self.half_width):  # one map says nothing of how far maps lie apart
+        if not math.isfinite(self.half_width):  # a single map gives no interval
             return shown, ""
         return shown, "exact" if low == high else between(low, high, digits, most, less)
 
     def _half(self, scale: float, most: int | None, digits: int, mean: str) -> str:
-        """The half-width, rounded upwards; "" where the ends would be none that the figure can have."""
+        """The half-width, rounded up; "" if an end of the interval would be impossible."""
         half = math.ceil(scale * self.half_width * 10**digits - 1e-9) / 10**digits
         if mean[0] in "<>":
             return ""
@@ -267,16 +266,16 @@ class Estimate:
 
     @property
     def negated(self) -> Estimate:
-        """The same the other way round."""
+        """The estimate with the opposite sign."""
         low, high = self.ci95
         return Estimate(-self.mean, self.se, (-high, -low))
 
     def times(self, unit: float) -> Estimate:
-        """The same in a unit of which one of these is so many."""
+        """The estimate multiplied by `unit`."""
         return Estimate(self.mean * unit, self.se * unit, (self.ci95[0] * unit, self.ci95[1] * unit))
 
     def to_json(self) -> Json:
-        """Mean, standard error and interval; None for what one value alone does not tell."""
+        """Mean, standard error and interval; None where a single value does not determine them."""
         se = self.se if math.isfinite(self.se) else None
         return {"mean": self.mean, "se": se, "ci95": list(self.ci95) if all(map(math.isfinite, self.ci95)) else None}
 
@@ -289,12 +288,12 @@ def _student(freedom: int) -> float:
 
 @dataclass(frozen=True)
 class Sample:
-    """What an interval needs to know of `n` >= 2 values, in one unit.
+    """Statistics of `n` >= 2 values that determine an interval, in one unit.
 
     Attributes:
-        n: how many. scatter, lean: sums of the squares and of the cubes of their distances from the mean.
-        thin: how many lie on the side of the mean that has fewer. step: what all differences are multiples of.
-        few: no more than FEW different values were seen. fitted: figures that were estimated from the values first.
+        n: number of values. scatter, lean: sums of squared and of cubed deviations from the mean.
+        thin: number of values on the thinner side of the mean. step: greatest common divisor of all differences.
+        few: at most FEW different values were seen. fitted: number of parameters estimated from the values.
     """
 
     n: int
@@ -312,17 +311,17 @@ class Sample:
 
     @property
     def half(self) -> float:
-        """Half the width of the 95 % interval as far as the values seen tell: see `mean_estimate`."""
+        """Half the width of the 95 % interval from the values seen; see `mean_estimate`."""
         if self.scatter <= 0:
             return 0.0
         missed = MISSED * (self.lean / self.scatter / self.n) ** 2
-        if not self.few and self.fitted == 1:  # what is fitted takes the bell away, not the rare events
+        if not self.few and self.fitted == 1:  # a control variate removes the bulk, not the rare events
             missed = min(missed, MOST_MISSED / max(self.thin, 1.0) * self.se**2)
         return _student(self.n - self.fitted) * math.sqrt(self.se**2 + missed) + self.step / 2 / self.n
 
     @property
     def unseen(self) -> float:
-        """How often what was not seen may happen, as far as the interval allows for it: a chance."""
+        """Probability of unseen values that the interval allows for."""
         fades = 1.0 if self.few else math.exp(-((self.thin / ENOUGH) ** 4))
         return min(NONE_SEEN / self.n * fades, 1.0)
 
@@ -338,22 +337,27 @@ def mean_estimate(counts: NDArray[np.int64], unit: float, most: int | None = Non
     The interval is `mean -+ max(t sqrt(se^2 + s^2) + step / 2n, u d)` on each side, d the distance from the mean to the
     end of the values that are possible:
 
-    - t is Student's. step is the greatest common divisor of the differences seen: a mean can only be a multiple of
-      `step / n`, which matters where the values are few.
-    - `s^2 = 6 (jump / n)^2`, at most `15 / m se^2`. The jump is the third central moment over the second: next to
-      nothing for a bell, the size of the event where rare events make the variance, of which the sample may have met
-      a few too few; six more of them are counted in. m is the number of rollouts on the thinner side of the mean.
-    - `u = 3.69 / n exp(-(m / 30)^4)` is the chance that something has which did not happen in n rollouts (the rule of
-      three, `-ln(0.025) / n`). It fades as m grows: who has seen 45 on either side of the mean has seen what there is.
+    - t is Student's quantile. step is the greatest common divisor of the differences seen: a mean can only be a
+      multiple of `step / n`, which matters for few values.
+    - `s^2 = 6 (jump / n)^2`, at most `15 / m se^2`. The jump is the third central moment over the second: almost 0 for
+      a normal distribution, and the size of the event if rare events dominate the variance. The sample may contain too
+      few of these; six more are allowed for. m is the number of rollouts on the thinner side of the mean.
+    - `u = 3.69 / n exp(-(m / 30)^4)` is the probability of an event that may be missing in n rollouts (the rule of
+      three, `-ln(0.025) / n`). It fades as m grows, because 45 values on either side of the mean show the whole range.
 
-    Where at most FEW different values were seen, u does not fade and s^2 has no limit; with the control by luck it has
-    none either. So the interval never collapses
-    to a point while every rollout so far gave the same, and it is at most 1.1 times 1.96 se wide where 100 rollouts
-    or more lie on each side of the mean and more than FEW different values were seen. How often it holds the truth:
-    `tests/test_statistics.py`. Values lie in `0 .. most`, to which the interval is clipped; None: `len(counts) -
-    1`, which is too little for times, whose counts end with the largest seen (`analysis.theory.verdicts`). `certain`:
-    every run is the same (`planner.plan.plan.is_certain`), so the interval is a point. Raises
-    ValueError on an empty histogram.
+    If at most FEW different values were seen, u does not fade and s^2 has no limit; with the control variate s^2 has no
+    limit either. So the interval does not collapse to a point while all rollouts are equal, and it is at most 1.1 times
+    1.96 se wide with 100 rollouts or more on each side of the mean and more than FEW different values. Its coverage:
+    `tests/test_statistics.py`.
+
+    Args:
+        counts: int64 `[V]`, histogram. unit: factor of the result. certain: all runs are equal
+            (`planner.plan.plan.is_certain`), so that the interval is a point.
+        most: values lie in `0 .. most`, to which the interval is clipped; None: `len(counts) - 1`, which is too small
+            for times, whose counts end at the largest seen (`analysis.theory.verdicts`).
+
+    Raises:
+        ValueError: the histogram is empty.
     """
     values = np.flatnonzero(counts)
     return mean_of(values, counts[values], unit, len(counts) - 1 if most is None else most, certain)
@@ -362,13 +366,14 @@ def mean_estimate(counts: NDArray[np.int64], unit: float, most: int | None = Non
 def mean_of(
     values: NDArray[np.int64], often: NDArray[np.int64], unit: float, most: int, certain: bool = False
 ) -> Estimate:
-    """As `mean_estimate`, of whole numbers `values` `[V]`, rising and not below 0, that were seen `often` `[V]` times.
+    """As `mean_estimate`, from sorted integers `values` `[V]`, 0 or above, with frequencies `often` `[V]`.
 
-    `most`: the largest that is possible.
+    `most`: the largest possible value.
     """
     n = int(often.sum())
     if n == 0:
         raise ValueError("no rollouts to estimate from")
+    # Python integers, because the sum may exceed int64.
     total = sum(map(operator.mul, often.tolist(), values.tolist()))
     mean = total / n
     if certain:
@@ -381,7 +386,7 @@ def mean_of(
 
 
 def sample_of(values: NDArray[np.int64], often: NDArray[np.int64]) -> Sample:
-    """Of two whole numbers or more, as of `mean_of`."""
+    """Statistics of at least two integers, as in `mean_of`."""
     n, total = int(often.sum()), sum(map(operator.mul, often.tolist(), values.tolist()))
     scatter, lean = (float(often @ (values - total / n) ** power) for power in (2, 3))
     above, below = ([side(value * n, total) for value in values.tolist()] for side in (operator.gt, operator.lt))
@@ -390,23 +395,24 @@ def sample_of(values: NDArray[np.int64], often: NDArray[np.int64]) -> Sample:
 
 
 def exactly(value: float) -> Estimate:
-    """A value that is known: its interval is a point."""
+    """An exact value: its interval is a point."""
     return Estimate(value, 0.0, (value, value))
 
 
 def quantiles(counts: NDArray[np.int64], unit: float, certain: bool = False) -> dict[float, float]:
-    """QUANTILES of single rollouts; NaN one that all may well lie on one side of; `certain` as of `mean_estimate`."""
+    """QUANTILES of single rollouts; NaN if all rollouts may lie on one side; `certain` as in `mean_estimate`."""
     enough = {q: certain or max(q, 1.0 - q) ** int(counts.sum()) <= 0.05 for q in QUANTILES}
     return {q: quantile(counts, q) * unit if known else math.nan for q, known in enough.items()}
 
 
 def assured(counts: NDArray[np.int64], share: float = 0.95) -> int | None:
-    """A value that at least a `share` of all runs reach, sure with 95 %; None: too few rollouts to say (below 59).
+    """A value that at least a `share` of all runs reach, with 95 % confidence; None: too few rollouts (below 59).
 
-    The r-th smallest of n rollouts, r the largest with P(Binomial(n, 1 - share) >= r) >= 95 %: were more than 1 - share
-    of the runs below it, so few rollouts would be so with chance 5 % at most, for any distribution.
+    The r-th smallest of n rollouts, r the largest with P(Binomial(n, 1 - share) >= r) >= 95 %. If more than 1 - share
+    of the runs were below it, so few rollouts would be below it with probability 5 % at most, for any distribution.
     """
     n = int(counts.sum())
+    # The inverse is continuous; the loop corrects it to the largest valid integer.
     place = math.ceil(bdtrik(0.05, n, 1.0 - share)) if (share**n <= 0.05) else 0
     while place > 0 and bdtr(place - 1, n, 1.0 - share) > 0.05:
         place -= 1
@@ -420,10 +426,10 @@ def quantile(counts: NDArray[np.int64], q: float) -> int:
 
 
 def proportion(successes: int, n: int, certain: bool = False) -> Estimate:
-    """A probability with a 95 % interval that holds in 94 % or more, whatever it is; `certain` as of `mean_estimate`.
+    """A probability with a 95 % interval whose coverage is 94 % or more for any probability.
 
-    Wilson's; Clopper & Pearson's where no more than RARE rollouts were of one kind, as Wilson's then holds in 84 % at
-    worst.
+    Wilson's interval; Clopper & Pearson's if at most RARE rollouts are of one kind, because the coverage of Wilson's
+    may then fall to 84 %. `certain` as in `mean_estimate`.
     """
     if certain:
         return exactly(successes / n)
@@ -433,14 +439,15 @@ def proportion(successes: int, n: int, certain: bool = False) -> Estimate:
         return Estimate(p, se, chance_interval(successes, n, 0.05))
     centre, half = (p + z2 / (2 * n)) / (1 + z2 / n), Z95 / (1 + z2 / n) * math.sqrt(p * (1 - p) / n + z2 / (4 * n * n))
     low, high = max(0.0, centre - half), min(1.0, centre + half)
+    # Rounding must not exclude p.
     return Estimate(p, se, (min(low, p), max(high, p)))
 
 
 def over_maps(values: NDArray[np.float64]) -> Estimate:
-    """Mean of float64 `[M]` with Student's 95 % interval; NaN and nothing known from one map alone.
+    """Mean of float64 `[M]` with Student's 95 % interval; the standard error is NaN for a single map.
 
-    Maps of a rare kind widen it as rare events do that of `mean_estimate`: of 25 maps with a long tail Student's
-    alone holds the mean of all in 90 of 100 samples.
+    Rare maps widen it as rare events do in `mean_estimate`: for 25 maps from a distribution with a long tail, Student's
+    interval alone contains the true mean in 90 of 100 samples.
     """
     maps, mean = len(values), float(values.mean())
     if maps < 2:
@@ -453,11 +460,11 @@ def over_maps(values: NDArray[np.float64]) -> Estimate:
 
 
 def looks(start: int = FIRST_LOOK) -> list[int]:
-    """The numbers of rollouts after which `--precision` looks: start * 2**j, up to the ids that exist."""
+    """The numbers of rollouts after which `--precision` is tested: start * 2**j, up to the largest id."""
     return [start << j for j in range(32) if start << j <= MOST_ROLLOUTS]
 
 
-# Coverage and losses as they are said: an amount, the fractions whose chances are given, robots lost.
+# Coverage and losses as text: an amount, the fractions whose probabilities are reported, robots lost.
 
 AT_LEAST = (0.5, 0.75, 0.9, 0.95, 0.99, 1.0)
 """Fractions x for which P(coverage >= x) is reported."""
@@ -465,14 +472,14 @@ AT_LEAST = (0.5, 0.75, 0.9, 0.95, 0.99, 1.0)
 
 @dataclass(frozen=True)
 class Amount:
-    """A known amount of coverage: `mean`, a fraction of the accessible cells, and the same in `cells`."""
+    """An exact amount of coverage: `mean`, a fraction of the accessible cells, and the same in `cells`."""
 
     mean: float
     cells: float
 
     @staticmethod
     def of(cells: float, accessible: int) -> Amount:
-        """So many of the accessible cells."""
+        """`cells` of the accessible cells."""
         return Amount(cells / accessible, cells)
 
     def __str__(self) -> str:
@@ -480,18 +487,18 @@ class Amount:
 
 
 TARGETS = Numbers(0, 1, "a fraction of the accessible cells", above=True)
-"""What a user may want covered."""
+"""Valid targets of coverage."""
 
 
 def more_said(more: Estimate, costs: str, instead: str, other: str = "more") -> str:
-    """ "not knowing it costs 4.1 points ± 0.2 (95 %)"; below 0: "robots that are not told it visit 0.5 points more"."""
+    """ "not knowing it costs 4.1 points ± 0.2 (95 %)"; below 0: "robots that do not know it visit 0.5 points more"."""
     if more.mean >= 0:
         return f"{costs} {more.said(100, ' points')}"
     return f"{instead} {more.negated.said(100, f' points {other}')}"
 
 
 def losses_said(losses: Estimate, robots: int, *, mean_only: bool = False) -> str:
-    """The same in a sentence: "all 4 robots", "no robot", "0.67 ± 0.01 (95 %) robots".
+    """`losses_shown` in a sentence: "all 4 robots", "no robot", "0.67 ± 0.01 (95 %) robots".
 
     `mean_only`: "0.67 robots", with the decimals that the interval allows, one at least.
     """
@@ -503,24 +510,24 @@ def losses_said(losses: Estimate, robots: int, *, mean_only: bool = False) -> st
 
 
 def losses_shown(losses: Estimate, robots: int) -> tuple[str, str]:
-    """Robots lost of so many, and the interval: ("1.87 of 5", "1.85 .. 1.89"), ("> 4.99 of 5", "4.98 or more")."""
+    """Robots lost of `robots`, and the interval: ("1.87 of 5", "1.85 .. 1.89"), ("> 4.99 of 5", "4.98 or more")."""
     (low, high), digits = losses.ci95, min(losses.digits(), 2)
     interval = "exact" if low == high else between(low, high, max(digits, 1), robots, "fewer")
     return f"{of_all(losses.mean, robots, digits)} of {robots}", interval
 
 
-# What a tally says of a mission as a decision wants it: the worst runs, robots left, time to a share of the cells.
+# Measures of a mission for decisions: the worst runs, surviving robots, time to a share of the cells.
 
 SHARES = (0.5, 0.75, 0.9, 0.95, 0.99)
-"""Of the accessible cells, by when so many are covered on average."""
+"""Shares of the accessible cells for which the mean time is reported."""
 TAIL = 0.05
-"""Of the runs, the worst ones that CVaR is the mean of."""
+"""Share of the worst runs whose mean is the CVaR."""
 
 
 def tail_mean(counts: NDArray[np.int64], tail: float = TAIL) -> float:
-    """CVaR: the mean of the least values `0, 1, 2, ...` of a histogram, those of a share `tail` of its rollouts.
+    """CVaR: the mean of the lowest share `tail` of the rollouts of a histogram of values `0, 1, 2, ...`.
 
-    The last rollouts of the tail count with the part of them that is in it (Rockafellar & Uryasev 2002).
+    The value at the edge of the tail counts in part (Rockafellar & Uryasev 2002).
     """
     wanted = tail * float(counts.sum())
     taken = np.minimum(np.cumsum(counts), wanted)
@@ -533,7 +540,7 @@ def robots_left(tally: Tally, certain: bool = False) -> list[Estimate]:
 
 
 def at_least(counts: NDArray) -> NDArray:
-    """Of counts or chances of 0, 1, ..., K those of at least 1, ..., K."""
+    """Counts or probabilities of at least 1, ..., K, from those of 0, 1, ..., K."""
     return np.cumsum(counts[::-1])[::-1][1:]
 
 

@@ -28,33 +28,32 @@ from planner.rollouts.threshold_classes import CLASSES_A_NAT, COLUMNS
 from planner.simulator.codes import Outcome
 from planner.tally import Tally
 
-# Means of rollouts, put right by how lucky the teams were: the control by total tolerance.
+# The control variate: the sum S of the team's failure thresholds.
 #
-# What a team covers goes with how much its robots bear together, S, and E[S] is known. So where the rollouts happened
-# to be luckier than they should, their mean is taken down by what that luck is worth: `mean(y) - b (mean(g(S)) -
-# E[g(S)])`, b by least squares (Glasserman, Monte Carlo Methods in Financial Engineering, section 4.1.2). g are the
-# pieces of a broken line with BENDS: coverage rises with S up to all there is and rises no more, which powers of S
-# follow badly, and the few largest S would weigh most. S goes in by classes (`planner.rollouts.threshold_classes`),
-# of which the expectation is that of classes too: nothing is lost but the little that S says within its class.
+# Coverage is correlated with S, and E[S] is known. The estimate is `mean(y) - b (mean(g(S)) - E[g(S)])` with b by least
+# squares (Glasserman, Monte Carlo Methods in Financial Engineering, section 4.1.2). g is a piecewise linear function
+# with knots at BENDS, because coverage rises with S and saturates; powers of S fit that badly and give the largest S
+# too much weight. S is grouped into classes (`planner.rollouts.threshold_classes`), and E[g(S)] is computed for the
+# same classes, so that grouping adds no bias.
 
 LEAST = FIRST_LOOK
-"""Rollouts below which intervals with the control are too narrow."""
+"""Fewest rollouts for which intervals with the control variate are valid."""
 BENDS = (-2.0, -1.0, 0.0, 1.0, 2.0)
-"""Where the line bends: at the quantiles of S that a bell has so many standard deviations from its mean."""
+"""Knots of g, as standard normal quantiles of the distribution of S."""
 PIECES = 1 + len(BENDS)
 HALVES = 2 * CLASSES_A_NAT
-"""Half classes a nat: the middle of a class is a whole number of them."""
+"""Half classes a nat: the midpoint of a class is a whole number of half classes."""
 NOTHING_NEW = 1e-11
-"""Share of the largest below which a spread is rounding: where no rollout lies beyond a bend, say."""
+"""Ratio to the largest eigenvalue below which an eigenvalue is rounding error, as when no rollout passes a knot."""
 
 
 @dataclass(frozen=True)
 class Controlled:
-    """A mean with the control.
+    """A mean with the control variate.
 
     Attributes:
-        mean: of one figure. sample: what its interval follows from. weights: of a nat more of S, in each of PIECES.
-        gain: variance of the mean without the control / with it.
+        mean: of one figure. sample: the statistics for its interval. weights: slope by S in each of PIECES, a nat.
+        gain: variance of the mean without the control variate / with it.
     """
 
     mean: float
@@ -64,35 +63,39 @@ class Controlled:
 
 
 def controlled(by_class: NDArray[np.int64], sums: NDArray[np.float64], plain: Sample, robots: int) -> Controlled:
-    """The mean of a figure of LEAST rollouts or more of which `sums` float64 `[C]` are known by class of S.
+    """The mean of a figure with the control variate, from at least LEAST rollouts.
 
-    `by_class`: int64 `[C]`, rollouts in each. `plain`: of the figure. `robots`: whose tolerances S holds.
+    Args:
+        by_class: int64 `[C]`, rollouts in each class of S. sums: float64 `[C]`, sum of the figure in each class.
+        plain: the figure's sample without the control variate. robots: number of thresholds in S.
+
+    Source: Glasserman, section 4.1.2.
     """
     held = np.flatnonzero(by_class)
     often, sums, n = by_class[held].astype(np.float64), sums[held], plain.n
-    luck = pieces(held, robots) - expected_pieces(robots)
-    off, mean = np.einsum("c,cp->p", often, luck) / n, float(sums.sum()) / n
-    luck = luck - off
-    inverse, rank = inverse_of(np.einsum("c,cp,cq->pq", often, luck, luck))
-    along = np.einsum("c,cp->p", sums - mean * often, luck)
+    controls = pieces(held, robots) - expected_pieces(robots)
+    off, mean = np.einsum("c,cp->p", often, controls) / n, float(sums.sum()) / n
+    controls = controls - off
+    inverse, rank = inverse_of(np.einsum("c,cp,cq->pq", often, controls, controls))
+    along = np.einsum("c,cp->p", sums - mean * often, controls)
     slope = inverse @ along
     left = max(plain.scatter - float((slope * along).sum()), 0.0)
-    left *= 1.0 + n * float(off @ inverse @ off)  # the slopes are not known exactly
-    lean = plain.lean * (left / plain.scatter if plain.scatter > 0 else 0.0)  # so that rare events weigh as without
+    left *= 1.0 + n * float(off @ inverse @ off)  # variance of the estimated slopes
+    lean = plain.lean * (left / plain.scatter if plain.scatter > 0 else 0.0)  # keeps the skewness of the plain sample
     sample = replace(plain, scatter=left, lean=lean, fitted=1 + rank)
     gain = 1.0 if plain.scatter == 0 else math.inf if left == 0 else (plain.se / sample.se) ** 2
     return Controlled(mean - float((slope * off).sum()), sample, tuple((HALVES * np.cumsum(slope)).tolist()), gain)
 
 
 def pieces(classes: NDArray[np.int64], robots: int) -> NDArray[np.int64]:
-    """`[C, PIECES]`, whole half classes: how far the class's middle is from the mean, and how far beyond each bend."""
-    luck = 2 * classes + 1 - HALVES * robots
-    return np.column_stack([luck, np.maximum(luck[:, None] - np.array(_bends(robots)), 0)])
+    """`[C, PIECES]`, in half classes: distance of the class's midpoint from E[S], and from each knot that it passes."""
+    controls = 2 * classes + 1 - HALVES * robots
+    return np.column_stack([controls, np.maximum(controls[:, None] - np.array(_bends(robots)), 0)])
 
 
 @cache
 def _bends(robots: int) -> tuple[int, ...]:
-    """BENDS in half classes from the mean: S is a sum of so many Exp(1), a Gamma variable."""
+    """BENDS in half classes from the mean. S is a sum of `robots` Exp(1) variables, hence Gamma."""
     return tuple(round(HALVES * (quantile - robots)) for quantile in gammaincinv(robots, ndtr(BENDS)).tolist())
 
 
@@ -107,16 +110,17 @@ def expected_pieces(robots: int) -> NDArray[np.float64]:
 
 
 def inverse_of(spread: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
-    """The inverse of a symmetric matrix as far as it has one (Moore & Penrose's), and its rank."""
+    """The Moore-Penrose inverse of a symmetric matrix, and its rank."""
     values, axes = np.linalg.eigh(spread)
     kept = values > NOTHING_NEW * values[-1]
     return (axes[:, kept] / values[kept]) @ axes[:, kept].T, int(kept.sum())
 
 
 def of_tally(tally: Tally, figure: str) -> Controlled | None:
-    """The mean of "visited", "survived", "time", "alive" or "complete"; None without the sums, or of too few rollouts.
+    """The mean of "visited", "survived", "time", "alive" or "complete" with the control variate.
 
-    Raises ValueError where nothing was rolled out.
+    Returns None if the tally lacks the sums by class or has fewer than LEAST rollouts. Raises ValueError for an empty
+    tally.
     """
     by_luck = tally.by_luck.reshape(-1, len(COLUMNS))
     if tally.rollouts < LEAST or int(by_luck[:, 0].sum()) != tally.rollouts:
@@ -130,10 +134,10 @@ def of_tally(tally: Tally, figure: str) -> Controlled | None:
 def tally_mean(
     tally: Tally, figure: str, unit: float = 1.0, most: int | None = None, certain: bool = False
 ) -> Estimate:
-    """The mean of "visited", "survived", "time" or "alive", or robots "lost": with the control where the tally has it.
+    """The mean of "visited", "survived", "time", "alive" or "lost", with the control variate if the tally allows it.
 
-    `unit`, `most`, `certain`: as of `analysis.statistics.estimates.mean_estimate`, whose guards against what was not
-    seen hold here too. Else it is that mean.
+    `unit`, `most`, `certain`: as in `analysis.statistics.estimates.mean_estimate`, which is used otherwise. Its guards
+    against unseen values hold here too.
     """
     if figure == "lost":
         alive = tally_mean(tally, "alive", certain=certain)
@@ -150,13 +154,12 @@ def estimate_of(
     values: NDArray[np.int64], often: NDArray[np.int64], by_class: NDArray[np.int64], sums: NDArray[np.float64],
     robots: int, unit: float, most: int,
 ) -> Estimate:  # fmt: skip
-    """As `analysis.statistics.estimates.mean_of`, with the control. `by_class`, `sums`, `robots`: as of
-    `controlled`."""
+    """`analysis.statistics.estimates.mean_of` with the control variate; arguments as in `controlled`."""
     return _estimate(controlled(by_class, sums, sample_of(values, often), robots), most, unit)
 
 
 def complete_chance(tally: Tally, certain: bool = False) -> Estimate:
-    """The chance that every accessible cell is visited, with the control where the tally has it."""
+    """The probability that every accessible cell is visited, with the control variate if the tally allows it."""
     done = int(tally.outcomes[Outcome.COMPLETE])
     found = None if certain or min(done, tally.rollouts - done) <= RARE else of_tally(tally, "complete")
     return proportion(done, tally.rollouts, certain) if found is None else _estimate(found, 1, 1.0)
@@ -168,21 +171,20 @@ def _complete(tally: Tally) -> NDArray[np.int64]:
 
 
 def _estimate(found: Controlled, most: int, unit: float) -> Estimate:
-    """`found` of values that lie in `0 .. most`."""
+    """The estimate of a mean of values in `0 .. most`."""
     mean = min(max(found.mean, 0.0), float(most))
     low, high = found.sample.interval(mean, 0.0, most)
     return Estimate(mean * unit, found.sample.se * unit, (low * unit, high * unit))
 
 
-# The control by total tolerance where no map alone has the rollouts for it: slopes that all maps tell together.
+# The control variate over many maps, where no single map has enough rollouts: slopes pooled over the maps.
 #
-# A figure stands *beside* its luck: axis `L` = (figure, pieces of its broken line by the total tolerance, less what is
-# expected of them: `analysis.statistics.variance_reduction`). The mean of a map's rollouts is one such vector,
-# with the covariance of its error. For any b, `figure - luck b` has the figure's mean; the b that leaves least of the
-# rollouts' noise in a mean over maps follows from the sum of these covariances, as each map's own mean tells nothing of
-# it (analysis of covariance: Cochran, Biometrics 1957). What a map's own rollouts add to b bends its mean by a share of
-# 1 / all rollouts; and where all maps have other luck, the put-right means are a sample of one from each, so their
-# interval is that of any means over maps.
+# A figure is kept with its controls in one vector, axis `L` = (figure, the pieces of g(S) less their expectations). The
+# mean over a map's rollouts is one such vector, with the covariance of its error. For any b, `figure - b controls` has
+# the figure's mean. The b that minimises the rollouts' noise in a mean over maps follows from the sum of the
+# covariances (analysis of covariance: Cochran, Biometrics 1957). A map's own rollouts bias its mean through b by a
+# share of 1 / all rollouts. Where the maps have independent random numbers, the controlled means are a sample of one
+# from each map, and their interval is that of any mean over maps.
 
 BESIDE = 1 + PIECES
 FIGURES = COLUMNS[1:]
@@ -190,26 +192,26 @@ TRIANGLE = np.triu_indices(PIECES)
 
 
 def luck_sums(tally: Tally) -> list[int]:
-    """Whole numbers that add: rollouts, sums of the pieces, of their products, and of each of FIGURES times each piece.
+    """Additive integer sums: rollouts, the pieces, their products, and each of FIGURES times each piece.
 
-    Of a block of rollouts, so that int64 holds them. Empty without sums by luck.
+    They fit int64 for one block of rollouts. Empty if the tally lacks the sums by class.
     """
     by_luck = tally.by_luck.reshape(-1, len(COLUMNS))
     held = np.flatnonzero(by_luck[:, 0])
     if not len(held):
         return []
-    often, luck = by_luck[held, 0], pieces(held, tally.robots)
-    products, along = (often[:, None] * luck).T @ luck, by_luck[held, 1:].T @ luck
-    return np.concatenate([[often.sum()], often @ luck, products[TRIANGLE], along.ravel()]).tolist()
+    often, controls = by_luck[held, 0], pieces(held, tally.robots)
+    products, along = (often[:, None] * controls).T @ controls, by_luck[held, 1:].T @ controls
+    return np.concatenate([[often.sum()], often @ controls, products[TRIANGLE], along.ravel()]).tolist()
 
 
 def beside_luck(
-    rollouts: int, figures: Sequence[tuple[int, int]], luck: Sequence[int], robots: int
+    rollouts: int, figures: Sequence[tuple[int, int]], controls: Sequence[int], robots: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A map's means `[F, L]` of FIGURES and the covariances `[F, L, L]` of their errors.
 
-    `figures`: sums over its rollouts and sums of squares, whole numbers. `luck`: of `luck_sums`; of other rollouts than
-    these, or of a single one, it says nothing: zeros.
+    `figures`: (sum, sum of squares) over the map's rollouts, integers. `controls`: from `luck_sums`. They are 0 for a
+    single rollout, and if `controls` covers other rollouts.
     """
     means, errors = np.zeros((len(figures), BESIDE)), np.zeros((len(figures), BESIDE, BESIDE))
     means[:, 0] = [total / rollouts for total, _ in figures]
@@ -217,9 +219,9 @@ def beside_luck(
         return means, errors
     pairs = (rollouts - 1) * rollouts
     errors[:, 0, 0] = [(square * rollouts - total * total) / rollouts / pairs for total, square in figures]
-    if not luck or luck[0] != rollouts:
+    if not controls or controls[0] != rollouts:
         return means, errors
-    sums, products, along = np.split(np.array(luck[1:], dtype=np.float64), [PIECES, PIECES + len(TRIANGLE[0])])
+    sums, products, along = np.split(np.array(controls[1:], dtype=np.float64), [PIECES, PIECES + len(TRIANGLE[0])])
     spread, met = np.zeros((PIECES, PIECES)), sums / rollouts
     spread[TRIANGLE] = spread.T[TRIANGLE] = products
     means[:, 1:] = met - expected_pieces(robots)
@@ -229,9 +231,9 @@ def beside_luck(
 
 
 def weights_of(errors: NDArray[np.float64], freedom: int) -> NDArray[np.float64]:
-    """`[L]`, (1, -b) of one figure: what its vectors are to be multiplied with; b = 0 where the rollouts are too few.
+    """The weights (1, -b), `[L]`, of one figure's vectors; b = 0 for too few rollouts.
 
-    `errors`: `[L, L]`, the sum of its maps' covariances. `freedom`: rollouts that tell of b, of each map one less.
+    `errors`: `[L, L]`, sum of the maps' covariances. `freedom`: degrees of freedom of b, rollouts less one a map.
     """
     weights = np.zeros(len(errors))
     weights[0] = 1.0
@@ -243,26 +245,26 @@ def weights_of(errors: NDArray[np.float64], freedom: int) -> NDArray[np.float64]
 def put_right(
     means: NDArray[np.float64], errors: NDArray[np.float64], freedom: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A figure's means `[M]` on all maps without what their luck is worth, and their standard errors `[M]`.
+    """A figure's controlled means `[M]` on all maps, and their standard errors `[M]`.
 
-    `means`, `errors`: `[M, L]`, `[M, L, L]`, of one figure of `beside_luck`. `freedom`: as of `weights_of`.
+    `means`, `errors`: `[M, L]` and `[M, L, L]` of one figure, from `beside_luck`. `freedom`: as in `weights_of`.
     """
     weights = weights_of(errors.sum(axis=0), freedom)
     return means @ weights, np.sqrt(np.maximum(weights @ errors @ weights, 0.0))
 
 
-# Differences of two figures of the same rollouts: settings, plans, teams or maps on common luck.
+# Differences of two figures on common random numbers: settings, plans, teams or maps.
 #
-# Rollout r of both meets the same luck (SPEC sections 6 and 14), so their figures go together. Then the interval of
-# their difference is narrower than that of independent runs.
+# Rollout r of both has the same failure thresholds (SPEC sections 6 and 14), so their figures are correlated, and the
+# interval of the difference is narrower than for independent runs.
 
 NEGLIGIBLE = 1e-12
-"""A variance that is less than this share of what it is the difference of is none."""
+"""Ratio to the sum of two variances below which the variance of the difference is rounding error."""
 
 
 @dataclass(frozen=True)
 class Paired:
-    """Sums over rollouts of two whole numbers, x and y: exact, so no figure depends on the order of adding.
+    """Sums over rollouts of two integers, x and y. They are exact, so that no result depends on the order of adding.
 
     `xxy` is the sum of x * x * y, and so on; `differ` counts the rollouts in which x is not y.
     """
@@ -281,7 +283,7 @@ class Paired:
 
     @staticmethod
     def of(x: ArrayLike, y: ArrayLike) -> Paired:
-        """The sums over rollouts of whole numbers `[B]`, 0 or above."""
+        """The sums over rollouts of non-negative integers `[B]`."""
         one, other = np.asarray(x, dtype=np.int64), np.asarray(y, dtype=np.int64)
         differ = int((one != other).sum())
         largest = max(int(one.max(initial=0)), int(other.max(initial=0)))
@@ -304,10 +306,10 @@ class Paired:
         return xx, xy, yy
 
     def sample(self, of_x: float, of_y: float, step: float = 0.0) -> Sample:
-        """Of `of_x * x + of_y * y`, two rollouts or more; `step`: what all its values are multiples of, 0 if nothing.
+        """The sample of `of_x * x + of_y * y`, from at least two rollouts; `step`: the lattice of its values, or 0.
 
-        How many lie on the thinner side of the mean is not kept: it is that of two values of the same skewness, and no
-        more than the rollouts in which x is not y.
+        The number of values on the thinner side of the mean is not kept. It is taken from a two-point distribution of
+        the same skewness, and is at most the number of rollouts in which x and y differ.
         """
         n, x, y = self.rollouts, self.x, self.y
         xx, xy, yy = self.moments()
@@ -334,7 +336,7 @@ class Difference:
 
     Attributes:
         estimate: mean of (y's unit * y - x's unit * x), its standard error and 95 % interval.
-        gain: variance of the difference on independent runs / on these.
+        gain: variance of the difference of independent runs / of these.
     """
 
     estimate: Estimate
@@ -342,10 +344,7 @@ class Difference:
 
 
 class CommonLuck(NamedTuple):
-    """The luck of both sides' rollouts by class of the total tolerance of so many `robots`: rollouts, sums of x, y.
-
-    `[C]` each.
-    """
+    """Rollouts and sums of x and y by class of the sum of the thresholds of `robots`, `[C]` each."""
 
     robots: int
     by_class: NDArray[np.int64]
@@ -354,18 +353,18 @@ class CommonLuck(NamedTuple):
 
     @classmethod
     def of(cls, robots: int, classes: NDArray[np.int64], x: NDArray[np.int64], y: NDArray[np.int64]) -> CommonLuck:
-        """Of single rollouts, int64 `[B]` each; `classes`: as of `planner.rollouts.threshold_classes.luck_classes`."""
+        """From single rollouts, int64 `[B]` each; `classes`: from `planner.rollouts.threshold_classes.luck_classes`."""
         sums = (np.bincount(classes, weights=column) for column in (x, y))
         return cls(robots, np.bincount(classes), *sums)
 
 
 def difference(
-    pairs: Paired, unit_x: float, unit_y: float, reach: float, certain: bool = False, luck: CommonLuck | None = None
+    pairs: Paired, unit_x: float, unit_y: float, reach: float, certain: bool = False, controls: CommonLuck | None = None
 ) -> Difference:
     """E[y] - E[x], each in its unit, with the interval of `analysis.statistics.estimates.mean_estimate`.
 
-    `reach`: how far it may range to either side. `certain`: every run of both is the same, so the interval is a point.
-    `luck`: of the rollouts, by which the difference is put right (`analysis.statistics.variance_reduction`).
+    `reach`: the largest absolute difference. `certain`: all runs of each side are equal, so that the interval is a
+    point. `controls`: the rollouts by class of S, for the control variate.
     """
     n = pairs.rollouts
     mean = pairs.y / n * unit_y - pairs.x / n * unit_x
@@ -375,23 +374,21 @@ def difference(
         return Difference(Estimate(mean, math.nan, (-reach, reach)), 1.0)
     xx, _, yy = pairs.moments()
     found = pairs.sample(-unit_x, unit_y, step=unit_x if unit_x == unit_y else 0.0)
-    if luck is not None and n >= LEAST:
-        put_right = controlled(luck.by_class, unit_y * luck.y - unit_x * luck.x, found, luck.robots)
-        mean, found = min(max(put_right.mean, -reach), reach), put_right.sample
+    if controls is not None and n >= LEAST:
+        adjusted = controlled(controls.by_class, unit_y * controls.y - unit_x * controls.x, found, controls.robots)
+        mean, found = min(max(adjusted.mean, -reach), reach), adjusted.sample
     apart = (xx * unit_x**2 + yy * unit_y**2) / n
     gain = 1.0 if apart == 0 else math.inf if found.scatter == 0 else apart / found.se**2
     return Difference(Estimate(mean, found.se, found.interval(mean, -reach, reach)), gain)
 
 
-# One-way components of variance: how much of a scatter lies between groups (maps), and how much within them (luck).
+# One-way components of variance: between groups (maps) and within groups (rollouts on one map).
 #
-# Rollouts fall on maps that are drawn independently, each alike, and know theirs. Then the sample variance of all of
-# them
-# is unbiased for the whole, and the pooled sample variance within maps for the part within, as no map is favoured;
-# what is left is the part between, however unequal the numbers of rollouts are (Searle, Casella & McCulloch, Variance
-# Components, 1992, section 3.6). Intervals: the jackknife over what was drawn independently, the rollouts, or the maps
-# where each was given equally many (Efron & Stein, Annals of Statistics 1981: its variance is not too small on
-# average).
+# Every rollout has a map that is drawn independently from one distribution. The sample variance of all rollouts is
+# unbiased for the total, and the pooled sample variance within maps for the part within. Their difference estimates the
+# part between, also for unequal numbers of rollouts (Searle, Casella & McCulloch, Variance Components, 1992, section
+# 3.6). Intervals are by the jackknife over the independent draws: the rollouts, or the maps where each has equally many
+# rollouts (Efron & Stein, Annals of Statistics 1981: its variance is not too small on average).
 
 Array = NDArray[np.float64]
 
@@ -401,8 +398,8 @@ class Components:
     """Standard deviations with their intervals, in the unit of the values.
 
     Attributes:
-        between: of the groups' means, without the noise of their rollouts. within: of single values in a group.
-        means: float64 `[groups]`, rising: the groups' means, drawn together so that they scatter by `between`.
+        between: of the groups' true means. within: of single values in a group.
+        means: float64 `[groups]`, sorted: the groups' means, shrunk so that their standard deviation is `between`.
     """
 
     between: Estimate
@@ -411,7 +408,7 @@ class Components:
 
 
 def of_values(group: ArrayLike, value: ArrayLike, reach: float) -> Components:
-    """Of values `[B]` in groups `[B]` that were drawn for each; `reach`: how far values can lie apart."""
+    """Components of values `[B]` whose groups `[B]` were drawn independently; `reach`: the largest difference."""
     value = np.asarray(value, dtype=np.float64)
     _, place, often = np.unique(np.asarray(group), return_inverse=True, return_counts=True)
     n, count = len(value), often[place]
@@ -429,20 +426,20 @@ def of_values(group: ArrayLike, value: ArrayLike, reach: float) -> Components:
 
 
 def of_means(means: Array, within: Array, each: int, reach: float) -> Components:
-    """Of groups `[G]` drawn independently: their means of `each` values, and the sample variances of these."""
+    """Components from the means `[G]` of `each` values and their sample variances `[G]`, groups drawn independently."""
     groups = len(means)
     far, inside = (means - means.mean()) ** 2, float(within.mean())
     left_inside = (within.sum() - within) / (groups - 1)
     left_between = (far.sum() - groups / (groups - 1) * far) / (groups - 2) - left_inside / each
     variance = float(far.sum()) / (groups - 1) - inside / each
-    between, luck = _root(variance, left_between, groups, reach), _root(inside, left_inside, groups, reach)
-    return Components(between, luck, _drawn_together(means, between.mean))
+    between, within_sd = _root(variance, left_between, groups, reach), _root(inside, left_inside, groups, reach)
+    return Components(between, within_sd, _drawn_together(means, between.mean))
 
 
 def known_between(means: Array, all_of_them: bool, counts: NDArray[np.int64]) -> Components:
-    """Of groups whose means `[G]` are exact, all that there are or some drawn independently.
+    """Components from exact means `[G]` of all groups, or of some that were drawn independently.
 
-    `counts`: int64 `[C + 1]`, a histogram of values 0, 1/C, ... 1 that fell on all groups: the scatter of everything.
+    `counts`: int64 `[C + 1]`, histogram of the values 0, 1/C, ... 1 over all groups, for the total variance.
     """
     groups, n, values = len(means), int(counts.sum()), np.linspace(0.0, 1.0, len(counts))
     far = (means - means.mean()) ** 2
@@ -457,16 +454,16 @@ def known_between(means: Array, all_of_them: bool, counts: NDArray[np.int64]) ->
 
 
 def _root(variance: float, left: Array, n: int, reach: float) -> Estimate:
-    """A standard deviation from a variance, and its values with one of `n` draws left out, float64 `[n]`."""
+    """A standard deviation from a variance and its jackknife values, float64 `[n]`."""
     return _deviation(variance, math.sqrt((n - 1) / n * float(((left - left.mean()) ** 2).sum())), n, reach)
 
 
 def _deviation(variance: float, error: float, n: int, reach: float) -> Estimate:
-    """A standard deviation from a variance with its standard error of `n` draws.
+    """A standard deviation from a variance with its standard error from `n` draws.
 
-    The upper half is longer, as on a scale of logarithms: a sample that met few of a long tail's values shows neither
-    them nor how much they scatter. Where none of the draws made a difference: the rule of three, of what lies `reach`
-    away.
+    The upper half of the interval is longer, as on a logarithmic scale, because a sample with few values from a long
+    tail underestimates both the tail and its variance. Where no draw differs, the rule of three applies to a value
+    that is `reach` away.
     """
     half, mean = Z95 * error, math.sqrt(max(variance, 0.0))
     if error == 0:
@@ -477,7 +474,7 @@ def _deviation(variance: float, error: float, n: int, reach: float) -> Estimate:
 
 
 def _drawn_together(means: Array, deviation: float) -> Array:
-    """Means that scatter by `deviation`, as the true ones do (Louis, JASA 1984), not by that and their noise."""
+    """The means shrunk towards their mean to the standard deviation `deviation` (Louis, JASA 1984)."""
     spread = float(means.std())
     if spread == 0:
         return np.sort(means)

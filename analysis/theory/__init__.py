@@ -1,1 +1,1 @@
-"""Exact values, the paper's formulas and bounds of our own; no file here sees an engine."""
+"""Exact values, the paper's formulas, and bounds. This package imports no simulator."""

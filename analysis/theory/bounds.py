@@ -1,4 +1,4 @@
-"""The paper's formulas in every reading of SPEC section 7, and bounds of our own, each with its proof."""
+"""The paper's formulas in every reading of SPEC section 7, and our own bounds, each with its proof."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from planner.world.world import World, check_starts
 
 # The paper's formulas, one function each, in every reading of SPEC section 7; values in cells or probabilities.
 #
-# Eq. (4) follows a robot along its own path; eqs. (5) and (6) need the plan's legs and areas, so they are undefined
-# (None) for the plan of another planner.
+# Eq. (4) follows a robot along its path. Eqs. (5) and (6) need the plan's legs and areas, and are undefined (None) for
+# an external plan.
 
 Value = TypeVar("Value")
 NEXT_TO_NOTHING = 1e-12
-"""Cells: what may be added to a bound in the place of working it out."""
+"""Cells: remainder of a bound below which it is rounded up instead of computed."""
 
 
 @dataclass(frozen=True)
@@ -71,10 +71,10 @@ class Bounds:
 
 
 def all_bounds(plan: Plan, world: World) -> Bounds:
-    """Every formula of the paper for this plan, and the ideal of the team (in mid-mission: from here on).
+    """Every formula of the paper for this plan, and the team's upper bound (of a resumed mission: from its state on).
 
-    Undefined where the map is in doubt, or robots are not told it. Where they wear, or are more or less susceptible,
-    eqs. (1) and (4) alone hold as they are (SPEC section 14).
+    Undefined for uncertain and for unknown maps. With a Weibull shape or hazard multipliers only eqs. (1) and (4) hold
+    (SPEC section 14).
     """
     if world.doubt is not None or world.knowledge is not None:
         return _nothing_known(plan)
@@ -87,7 +87,7 @@ def all_bounds(plan: Plan, world: World) -> Bounds:
             team_survival=team_survival(robots),
             eq4=gains,
         )
-    # Theorem 3's C knows no way home, on which robots cross each other's areas.
+    # Theorem 3's C does not include ways back to base, on which robots cross each other's areas.
     others = plan.is_foreign or plan.state is not None or plan.comes_home
     connecting = None if others else connecting_cells(plan)
     left, known, alive = world.accessible(plan.starts).ravel(), 0, len(robots)
@@ -117,7 +117,7 @@ def _nothing_known(plan: Plan) -> Bounds:
 def eq2_printed(robots: list[RobotChances], makespan: int) -> float:
     """Eq. (2) as printed: `prod_t (1 - prod_i p_i,t)`, p = 0 for a robot that does not move at step t.
 
-    The chance that the whole team is never hit in one single step, which is not the event that the paper states.
+    The probability that the whole team is never hit in one single step, which is not the event that the paper states.
     """
     together = np.ones(makespan + 1)
     for robot in robots:
@@ -128,24 +128,24 @@ def eq2_printed(robots: list[RobotChances], makespan: int) -> float:
 
 
 def team_survival(robots: list[RobotChances]) -> float:
-    """The event that eq. (2) states, some robot alive at the end; open loop `1 - prod_i (1 - Surv(R_i))`.
+    """The event of eq. (2), some robot alive at the end; open loop: `1 - prod_i (1 - Surv(R_i))`.
 
-    By logarithms: the product of many numbers next to 1 is 1 in float64.
+    By logarithms: the product of many numbers close to 1 is 1 in float64.
     """
-    with np.errstate(divide="ignore"):  # a robot that surely survives
+    with np.errstate(divide="ignore"):  # a survival of 1
         return float(-np.expm1(np.log1p([-robot.survival for robot in robots]).sum()))
 
 
 def eq4(robot: RobotChances) -> Meanings[float]:
-    """Eq. (4): expected cells new on the robot's own path, whatever others visited; in both meanings."""
+    """Eq. (4): expected number of distinct cells on the robot's own path, in both meanings."""
     return Meanings(float(robot.reach[robot.first].sum()), float(robot.passed[robot.first].sum()))
 
 
 def eq5(plan: Plan, world: World) -> tuple[Equation5, ...]:
-    """Eq. (5) of every robot, as printed (products start at y = 1, so C_0,0 is left out) and with C_0,0.
+    """Eq. (5) of every robot, as printed (products start at y = 1, so that C_0,0 is omitted) and with C_0,0.
 
-    Undefined where the nominal run shares areas, where robots have a range or come home, where a robot has no legs, and
-    where its start is dangerous.
+    Undefined if the nominal run shares areas, if robots have a range or return to base, and for a robot without legs or
+    with a dangerous start.
     """
     undefined = Equation5(None, None)
     if plan.settings is None or plan.shares or plan.state is not None:
@@ -163,7 +163,7 @@ def eq5(plan: Plan, world: World) -> tuple[Equation5, ...]:
 def _eq5_of_robot(
     robot: RobotPlan, plan: Plan, level_values: NDArray[np.float64], threat: NDArray[np.float64]
 ) -> Equation5:
-    """The areas in visiting order: |A_a| times the chance to cover all areas up to a and travel between them."""
+    """The areas in visiting order: |A_a| times the probability to cover all areas up to a and travel between them."""
     own_start = robot.legs[0].kind == "cover" and robot.legs[0].start == 0
     base = 0.0 if own_start else 1.0
     printed, with_c00, cover, travel, first_travel, connections = base, base, 1.0, 1.0, 1.0, 0
@@ -171,7 +171,7 @@ def _eq5_of_robot(
         if leg.kind == "travel":
             chance = float(np.prod(1.0 - threat[robot.path[leg.start : leg.stop]]))
             if connections == 0:
-                first_travel *= chance  # several where a way was given up before the first area
+                first_travel *= chance  # several if a journey was abandoned before the first area
             else:
                 travel *= chance
             continue
@@ -214,8 +214,8 @@ def connecting_cells(plan: Plan) -> ConnectingCells:
 def _journeys(robot: RobotPlan, plan: Plan) -> Iterator[tuple[int, int]]:
     """The half-open ranges of steps in which cells are entered on each journey of a robot.
 
-    A journey is a travel leg and the entry into its area, which belongs to the cover leg that follows. One of a single
-    move has no travel leg; one cut short by sharing has no entry. A robot that stands in its area makes none.
+    A journey is a travel leg and the entry into its area, which belongs to the cover leg that follows. A journey of one
+    move has no travel leg; a journey cut short by sharing has no entry; a robot in its area makes none.
     """
     for number, leg in enumerate(robot.legs):
         follows = robot.legs[number + 1] if number + 1 < len(robot.legs) else None
@@ -230,7 +230,7 @@ def _journeys(robot: RobotPlan, plan: Plan) -> Iterator[tuple[int, int]]:
 
 
 def _enters(cover: Leg, travel: Leg) -> bool:
-    """Does this cover leg begin where this travel leg to the same area ends?"""
+    """Whether this cover leg begins where this travel leg to the same area ends."""
     return (travel.kind, cover.kind) == ("travel", "cover") and (travel.area, travel.stop) == (cover.area, cover.start)
 
 
@@ -245,26 +245,25 @@ def theorem3(expected_alone: float, connecting: ConnectingCells) -> Theorem3:
 
 
 def ideal_team(threat: NDArray[np.float64], robots: int) -> float:
-    """The ideal of a team of `robots`, in cells: an upper bound for every strategy, adaptive ones included.
+    """Upper bound of the coverage of `robots` robots on any map, in cells, for every strategy, adaptive ones included.
 
-    With the accessible cells in increasing order of p, the j-th is still reached if fewer than k hits fell on the
-    j - 1 before it: `sum_j P(PoissonBinomial(p_1 .. p_{j-1}) < k)`. One robot gives eq. (7).
+    With the accessible cells in increasing order of p, the j-th is reached if fewer than k hits fell on the j - 1
+    before it: `sum_j P(PoissonBinomial(p_1 .. p_{j-1}) < k)`. One robot gives eq. (7). The sum ends when the remaining
+    probability is negligible; the most that the rest can add is then added.
 
     Args:
         threat: float64 `[accessible]`, the accessible cells' p.
-
-    Where next to no chance is left it is not followed further, and what it can add at most is added.
     """
     return float(np.count_nonzero(threat == 0) + _reached(np.sort(threat[threat > 0]), np.zeros(robots)))
 
 
 @compiled
 def _reached(dangerous, hits):  # type: ignore[no-untyped-def]
-    """Of cells in order of p, `[n]`, those that the ideal reaches; `hits` `[k]` of zeros: chances of 0 .. k - 1."""
+    """Reached cells of `dangerous` `[n]`, p in increasing order; `hits` `[k]` of zeros: P(0 .. k - 1 hits)."""
     total, cells, hits[0] = 0.0, len(dangerous), 1.0
     for place in range(cells):
         reached, p = hits.sum(), dangerous[place]
-        if reached * (cells - place) < NEXT_TO_NOTHING:  # the chances only fall: all that is left is less than that
+        if reached * (cells - place) < NEXT_TO_NOTHING:  # probabilities only fall: the rest is smaller
             return total + reached * (cells - place)
         total += reached
         for lost in range(len(hits) - 1, 0, -1):
@@ -273,11 +272,11 @@ def _reached(dangerous, hits):  # type: ignore[no-untyped-def]
     return total
 
 
-# Bounds of our own, each with its proof: Theorem 3 mended, coverage until the first loss, the ideal of a map.
+# Our own bounds, each with its proof: Theorem 3 corrected, coverage until the first loss, the upper bound on a map.
 #
-# They need the plan or the world alone and no rollout. `q_i(c)` is the chance that robot i covers cell c on its own
-# path, in one of the two meanings of SPEC section 2 (`visited`: it gets as far as its first entry of c; `survived`:
-# it also passes that entry's hit check), and `E(R_i) = sum_c q_i(c)` is eq. (4).
+# They need only the plan or the world, no rollouts. `q_i(c)` is the probability that robot i covers cell c on its own
+# path, in one of the two meanings of SPEC section 2 (`visited`: it makes its first entry of c; `survived`: it also
+# survives that entry), and `E(R_i) = sum_c q_i(c)` is eq. (4).
 
 
 @dataclass(frozen=True)
@@ -286,8 +285,8 @@ class MendedTheorem3:
 
     Attributes:
         count: the paper's form, `sum_i E(R_i) - |C|`, with the C that makes it true.
-        largest: the same with chances in place of counts.
-        spread: the sharpest of them.
+        largest: the same with probabilities instead of counts.
+        spread: the tightest of them.
     """
 
     count: float
@@ -296,7 +295,7 @@ class MendedTheorem3:
 
 
 def mended_theorem3(plan: Plan, world: World) -> Meanings[MendedTheorem3]:
-    """Theorem 3 in the form in which it holds, from the robots' own expectations and the cells that they share.
+    """Theorem 3 in a correct form, from the robots' own expectations and the cells that they share.
 
     A cell is shared if m >= 2 paths enter it. Let S = sum_i q_i and M = max_i q_i over those m robots.
 
@@ -305,23 +304,23 @@ def mended_theorem3(plan: Plan, world: World) -> Meanings[MendedTheorem3]:
         spread:   E(team) >= sum_i E(R_i) - sum_shared (S - 1 + (1 - M) (1 - (S - M) / (m - 1)) ** (m - 1))
 
     So the paper's C is the list of visits by other robots to cells already on some robot's path, each cell m - 1
-    times, wherever they lie: connecting path or coverage. (Cells of coverage paths that others cross are what makes
-    the printed C too small; counting every cell that is entered while traveling is what makes it too large.)
+    times, on connecting and coverage paths. (The printed C is too small because it omits cells of coverage paths that
+    others cross; the list of all cells entered while traveling is too large.)
 
-    Proof. Open loop, the robots' fates are independent, so a cell is covered with chance `U = 1 - prod_i (1 - q_i)`,
-    and `E(team) = sum_c U(c) = sum_i E(R_i) - sum_shared (S - U)`; cells on one path have U = S. It is left to bound U
-    from below on shared cells. U >= M, since the cell is covered if the likeliest robot covers it: `largest`. All
-    q_i <= 1, so S - M <= m - 1: `count`. The m - 1 others have mean chance a = (S - M) / (m - 1), and their
+    Proof. In the open loop the robots are independent, so a cell is covered with probability `U = 1 - prod_i (1 -
+    q_i)`, and `E(team) = sum_c U(c) = sum_i E(R_i) - sum_shared (S - U)`; cells on one path have U = S. It remains to
+    bound U from below on shared cells. U >= M, since the cell is covered if the likeliest robot covers it: `largest`.
+    All q_i <= 1, so S - M <= m - 1: `count`. The m - 1 others have mean probability a = (S - M) / (m - 1), and their
     prod (1 - q_i) <= (1 - a) ** (m - 1), a geometric mean being at most the arithmetic one: `spread`; and it is at
     least `largest`, as (1 - M) (1 - a) ** (m - 1) <= 1 - M.
 
-    None can be sharpened without knowing more. `count` is attained where no visit is dangerous. `largest` is the best
-    that holds whatever the dependence of the robots' fates (it is attained when the q_i are nested: one coin for all),
-    so it outlives the independence of the model. `spread` is the best function of (m, S, M) for independent robots: it
-    is attained by m - 1 robots of equal chance a, a choice with these very m, S and M as a <= M. It is an equality for
-    one or two robots and wherever a cell is on at most two paths. Knowing every q_i leaves the closed form itself.
-    (The best bound from S and the sum of q_i q_j over pairs, whatever else the dependence, is Dawson and Sankoff's, "An
-    inequality for probabilities", Proc. AMS 18, 1967. It was below `spread` on 99 % of the paper's maps.)
+    None can be improved without further information. `count` is attained if no visit is dangerous. `largest` is the
+    best bound for any dependence of the robots (it is attained when the covering events are nested), so that it does
+    not need independence. `spread` is the best function of (m, S, M) for independent robots: it is attained by m - 1
+    robots of equal probability a, a choice with these m, S and M as a <= M. It is an equality for one or two robots and
+    wherever a cell is on at most two paths. Knowledge of every q_i gives the closed form. (The best bound from S and
+    the sum of q_i q_j over pairs, for any other dependence, is that of Dawson and Sankoff, "An inequality for
+    probabilities", Proc. AMS 18, 1967. It was below `spread` on 99 % of the paper's maps.)
 
     Cost: linear in the total length of the paths: a sum, a maximum and a count for each first entry.
     """
@@ -351,17 +350,17 @@ def _mended(robots: list[RobotChances], chances: list[NDArray[np.float64]], cell
 
 
 def until_first_loss(plan: Plan, world: World) -> Meanings[float]:
-    """Expected cells covered before any robot is lost: a lower bound for the closed loop and the open loop alike.
+    """Expected cells covered before any robot is lost: a lower bound for the closed and for the open loop.
 
     `sum_c prod (1 - p)` over all entries, by any robot, that come before the nominal run's first entry of c in the
-    order of actions (step, then robot); for `survived` that entry included.
+    order of actions (step, then robot); for `survived` including that entry.
 
-    Proof. Up to the first hit the closed loop makes the nominal run's moves: they depend on the past alone, and the
-    pasts are the same. If none of those entries is a hit, which has that chance as hits are independent, c is entered
-    (and its robot not stopped there). Sum over the cells.
+    Proof. Up to the first loss the closed loop makes the nominal run's moves, because they depend only on the past. If
+    none of those entries destroys a robot, which has that probability by independence, c is entered (and survived). Sum
+    over the cells.
 
-    For one robot it is the expected coverage itself, as the loss of the only robot ends the run. Cost: a sort of the
-    entries. Holds for hits checked on every visit, and so for `first_visit` too, where there are fewer.
+    For one robot it is the expected coverage, because the loss of the only robot ends the run. Cost: a sort of the
+    entries. It holds for threats checked on every visit, and for `first_visit`, which checks fewer.
     """
     robots = [robot_chances(robot, world) for robot in plan.robots]
     steps = np.concatenate([robot.steps for robot in robots])
@@ -375,21 +374,21 @@ def until_first_loss(plan: Plan, world: World) -> Meanings[float]:
 
 
 def reach_chances(world: World, starts: ArrayLike) -> NDArray[np.float64]:
-    """Most that any strategy, adaptive ones included, can make of the chance to visit each cell; float64 `[N]`.
+    """Upper bound of the probability to visit each cell, for every strategy, adaptive ones included; float64 `[N]`.
 
-    `g(c) = 1 - prod_i (1 - r_i(c))`, where `r_i(c)` is the greatest product of (1 - p) over the cells before c, the
-    start included, on any path from robot i's start to c. 0 where no robot can go.
+    `g(c) = 1 - prod_i (1 - r_i(c))`, where `r_i(c)` is the largest product of (1 - p) over the cells before c, the
+    start included, on any path from robot i's start to c. 0 if no robot can reach c.
 
-    Proof. Let `r(x, c)` be that greatest product from cell x, x itself left out, and `F` the product of 1 - r(x_i, c)
-    over the robots alive at x_i. If a robot moves to y != c, its factor becomes 1 - r(y, c) with chance 1 - p(y), and 1
-    with chance p(y): on average 1 - (1 - p(y)) r(y, c) >= 1 - r(x, c), as x, y, ... is a path from x. So F does not
-    fall on average, whatever robot the strategy moves where, until c is visited. It is at most 1, and 0 once a robot
-    stands beside c or in it, so P(c never visited) >= E(F at the end) >= F at the start. Entering the start is such a
-    move, with `r_i(c) = (1 - p(start)) r(start, c)`, and c is visited for certain if it is a start.
+    Proof. Let `r(x, c)` be that largest product from cell x, x itself left out, and `F` the product of 1 - r(x_i, c)
+    over the robots alive at x_i. If a robot moves to y != c, its factor becomes 1 - r(y, c) with probability 1 - p(y),
+    and 1 with probability p(y): on average 1 - (1 - p(y)) r(y, c) >= 1 - r(x, c), as x, y, ... is a path from x. So F
+    does not fall on average, for any move of any robot, until c is visited. It is at most 1, and 0 once a robot is next
+    to c or in it, so P(c never visited) >= E(F at the end) >= F at the start. Entering the start is such a move, with
+    `r_i(c) = (1 - p(start)) r(start, c)`, and c is visited for certain if it is a start.
     """
     checked = check_starts(starts, world.threat, world.source)
     chosen, team = np.unique(checked, axis=0, return_counts=True)
-    missed = np.zeros(world.threat.size)  # its logarithm: 1 minus a product would lose all below 1e-16
+    missed = np.zeros(world.threat.size)  # logarithms: 1 - product would lose values below 1e-16
     with np.errstate(divide="ignore"):
         for start, robots in zip(chosen, team.tolist(), strict=True):
             missed += robots * np.log1p(-np.minimum(best_survival(world, start[None])[0], 1.0))
@@ -397,11 +396,11 @@ def reach_chances(world: World, starts: ArrayLike) -> NDArray[np.float64]:
 
 
 def best_survival(world: World, starts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """`r_i(c)` of `reach_chances` for a robot at each of `starts` `[S, 2]`, float64 `[S, N]`; 0 where it cannot go."""
+    """`r_i(c)` of `reach_chances` for a robot at each of `starts` `[S, 2]`, float64 `[S, N]`; 0 if unreachable."""
     threat = world.threat.ravel().astype(np.float64)
     near = neighbour_table(world.shape, ~np.isnan(threat))
     source, side = np.nonzero(near != NO_CELL)
-    # Leaving a cell costs its hazard; a safe one a trifle, since a stored 0 may count as no edge.
+    # Leaving a cell costs its hazard; a safe cell gets a tiny one, because csgraph may drop an explicit 0.
     hazard = np.maximum(-np.log1p(-threat[source]), np.finfo(np.float64).tiny)
     graph = csr_array((hazard, (source, near[source, side])), shape=(threat.size, threat.size))
     chances: NDArray[np.float64] = np.exp(-dijkstra(graph, indices=starts[:, 0] * world.shape[1] + starts[:, 1]))
@@ -409,15 +408,15 @@ def best_survival(world: World, starts: NDArray[np.int64]) -> NDArray[np.float64
 
 
 def ideal_connected(world: World, starts: ArrayLike) -> float:
-    """The ideal of a team on this map, in cells: an upper bound for every strategy, adaptive ones included.
+    """Upper bound of the coverage of a team on this map, in cells, for every strategy, adaptive ones included.
 
-    Split the accessible cells into D and the rest: `sum_D g(c) + ideal of the team over the rest`, with g of
-    `reach_chances`. D holds every safe cell and the dangerous ones of least g, as many as make the bound least.
+    Split the accessible cells into D and the rest: `sum_D g(c) + ideal_team over the rest`, with g of `reach_chances`.
+    D holds every safe cell and the dangerous ones of smallest g, as many as minimise the bound.
 
-    Proof. Expected cells visited are those of D, each visited with chance g(c) at most, and those of the rest. For the
-    latter the proof of the team's ideal stands: it counts hits in these cells alone, and hits elsewhere only add to
-    them. Every split is a bound, so the least is. With no dangerous cell in D and all g = 1 it is SPEC's ideal of the
-    team, so it never exceeds that; it gains where safe cells lie behind dangerous ones and few robots can be spared.
+    Proof. Expected cells visited are those of D, each visited with probability g(c) at most, and those of the rest. For
+    the latter the proof of `ideal_team` holds: it counts losses in these cells only, and losses elsewhere add to them.
+    Every split gives a bound, and so does their minimum. With no dangerous cell in D and all g = 1 it equals
+    `ideal_team`, so it never exceeds that. It is smaller if safe cells lie behind dangerous ones and robots are few.
 
     Cost: a shortest-path search for each start, and the ideal for about 64 sizes of D.
     """

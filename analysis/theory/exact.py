@@ -1,7 +1,6 @@
 """Exact expected values of the open loop: the closed form of SPEC section 6, per cell, per robot and over time.
 
-The oracle of the rollouts: it shares plain types with them and nothing else. Axis letters: `K` robots, `N` = H * W
-cells, `T` the makespan.
+The oracle of the rollouts: the two share only plain types. Axis letters: `K` robots, `N` = H * W cells, `T` makespan.
 """
 
 from __future__ import annotations
@@ -19,31 +18,34 @@ from planner.world.moving_threats import ANYWHERE, Mover, Movers, Phases
 from planner.world.uncertain_maps import Hazard, Uncertain
 from planner.world.world import World
 
-# What stops robots on their paths where hazards are there or not, or the map is one of several (SPEC section 13).
+# Threats on a robot's path with latent hazards, or with one of several maps (SPEC section 13).
 #
-# Given what is true the robots of an open loop are independent. So its exact values are those of a few *ways* that the
-# world may be, weighted: each is a chance for every entry of every path, given that it is made. Axis `E` = entries.
+# Given the true state of the world the robots of an open loop are independent. Its exact values are therefore a
+# weighted sum over a few states: each state gives, for every entry of every path, the probability that the entry
+# destroys the robot if it is made. Axis `E` = entries.
 #
-# One robot alone needs no ways. With m earlier entries of its own, survived, into a cell with the chances q and h, the
-# hazard is there with q (1 - h)**m / (1 - q + q (1 - h)**m): the entry stops it with h times that.
+# A single robot needs no enumeration. After m survived entries into a cell with hazard probability q and threat h, the
+# hazard is present with probability q (1 - h)**m / (1 - q + q (1 - h)**m), and the next entry destroys the robot with h
+# times that.
 
 MOST_SHARED = 10
-"""Dangerous cells on the ways of several robots up to which every pattern of hazards is looked at."""
+"""Most dangerous cells shared by several robots for which every pattern of hazards is enumerated."""
 
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """One way that the world may be: its chance, and per robot float64 `[E]`, what each entry stops it with."""
+    """One possible state of the world: its probability, and per robot float64 `[E]`, the threat of each entry."""
 
     chance: float
     threats: list[NDArray[np.float64]]
 
 
 def ways(plan: Plan, world: World) -> Iterator[Way] | None:
-    """Every way that matters for the plan; None where there are too many, or robots are not independent given one.
+    """All relevant states of the world for a plan; None if there are too many, or robots are not independent given one.
 
-    The map is one of M: M ways. Hazards: the patterns of those that several robots meet, if these are few; `consumed`,
-    none of them may be, and by level there may be one robot. Threats that move or change: none.
+    For one map of M: M states. For hazards: the patterns of those that several robots can meet, if these are few; with
+    `consumed` hazards no cell may be shared; with maps drawn by level there may be one robot. For moving threats and
+    phases: None.
     """
     doubt = world.doubt
     if isinstance(doubt, Movers | Phases):
@@ -62,7 +64,7 @@ def ways(plan: Plan, world: World) -> Iterator[Way] | None:
 
 
 def alone(plan: Plan, world: World) -> list[NDArray[np.float64]]:
-    """Of each robot, as if there were no other, float64 `[E]`: what each entry stops it with, given that it is made."""
+    """Threat of each entry of each robot, given that it is made, float64 `[E]`, without the effect of other robots."""
     doubt = world.doubt
     if isinstance(doubt, Uncertain):
         return [_by_level(robot, doubt) for robot in plan.robots]
@@ -77,7 +79,7 @@ def _entered(values: NDArray[np.float32], robot: RobotPlan) -> NDArray[np.float6
 
 
 def _by_hazard(robot: RobotPlan, q: NDArray[np.float32], h: NDArray[np.float32]) -> NDArray[np.float64]:
-    """See the module's docstring."""
+    """Threat of each entry with latent hazards; see the comment above."""
     cells, there, hit = robot.path[robot.entered], _entered(q, robot), _entered(h, robot)
     order = np.argsort(cells, kind="stable")
     begins = np.concatenate([[True], cells[order][1:] != cells[order][:-1]])
@@ -90,7 +92,7 @@ def _by_hazard(robot: RobotPlan, q: NDArray[np.float32], h: NDArray[np.float32])
 
 
 def _by_level(robot: RobotPlan, doubt: Uncertain) -> NDArray[np.float64]:
-    """The levels' maps are drawn apart, so a robot's chance to get so far is a product of means over each level's."""
+    """Threat of each entry if the levels' maps are independent: survival is a product of means over the levels."""
     cells = robot.path[robot.entered]
     number, column = doubt.number.ravel()[cells], doubt.column.ravel()[cells]
     reach = np.ones(len(cells) + 1)
@@ -101,15 +103,15 @@ def _by_level(robot: RobotPlan, doubt: Uncertain) -> NDArray[np.float64]:
 
 
 def _shared(plan: Plan, hazard: Hazard) -> NDArray[np.int64]:
-    """Cells in which several robots may meet a hazard that may or may not be there, int64."""
+    """Cells in which several robots may meet an uncertain hazard, int64."""
     mine = [np.unique(robot.path[robot.entered]) for robot in plan.robots]
     cells, robots = np.unique(np.concatenate(mine), return_counts=True)
-    doubtful = hazard.q.ravel()[cells] < 1  # else every visit of a persistent one is drawn for itself
-    return cells[(robots > 1) & (hazard.threat.ravel()[cells] > 0) & (doubtful | (hazard.kind == "consumed"))]
+    uncertain = hazard.q.ravel()[cells] < 1  # with q = 1, visits of a persistent hazard are independent
+    return cells[(robots > 1) & (hazard.threat.ravel()[cells] > 0) & (uncertain | (hazard.kind == "consumed"))]
 
 
 def _patterns(plan: Plan, hazard: Hazard, shared: NDArray[np.int64]) -> Iterator[Way]:
-    """The hazards of the shared cells there or not, in every pattern."""
+    """All patterns of hazards in the shared cells, with their probabilities."""
     chances = hazard.q.ravel()[shared].astype(np.float64)
     for pattern in itertools.product((False, True), repeat=len(shared)):
         there = np.array(pattern, dtype=bool)
@@ -119,26 +121,27 @@ def _patterns(plan: Plan, hazard: Hazard, shared: NDArray[np.int64]) -> Iterator
         yield Way(float(np.where(there, chances, 1 - chances).prod()), threats)
 
 
-# What a robot on a given path survives among threats that move: the forward algorithm of each (SPEC section 16).
+# Survival of a robot on a given path among moving threats: the forward algorithm of each threat (SPEC section 16).
 #
-# Given the path movers are independent, and so is what they do to the robot: its survival is the product of what it
-# survives of each. For a mover it carries the chance that the robot is not stopped by it and the mover is there; every
-# step the mover moves, and of its chance to be where the robot is h is lost. Axis `T` = steps of the path.
+# Given the path the moving threats are independent, and so are their effects: the robot's survival is a product over
+# them. For each threat the algorithm carries the probability that the robot has survived it and the threat is in a
+# cell. In every step the threat moves, and the probability at the robot's cell is multiplied by 1 - h. Axis `T` =
+# steps.
 
 SIDES = ((-1, 0), (0, -1), (0, 1), (1, 0))
 MOST_WORK = 3 * 10**8
-"""Cells times steps times kinds of walkers that are worth it: some seconds."""
+"""Largest number of cells times steps times kinds of walkers that is computed: some seconds."""
 
 
 def is_worth_it(world: World, steps: int) -> bool:
-    """Whether `passed_movers` of a path of so many steps is."""
+    """Whether `passed_movers` is fast enough for a path of `steps` steps."""
     assert world.movers is not None
     kinds = {mover for mover in world.movers.members if not mover.patrols}
     return len(kinds) * world.threat.size * steps <= MOST_WORK
 
 
 def passed_movers(path: NDArray[np.int64], world: World) -> NDArray[np.float64]:
-    """float64 `[T]`: the chance that no mover stops a robot at a step of its path `[T]`, if none did before.
+    """float64 `[T]`: probability that no moving threat destroys a robot at a step of its path `[T]`, given survival.
 
     Cost O(T N) for each kind of walker, O(T L) for each kind of patrol.
     """
@@ -189,19 +192,19 @@ def _passed_walker(path: NDArray[np.int64], mover: Mover, world: World) -> NDArr
 
 
 def _ratios(left: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What is left of each step's chance, of `left` `[T + 1]`; 0 once nothing is."""
+    """Conditional survival of each step, from survival `left` `[T + 1]`; 0 once that is 0."""
     return np.divide(left[1:], left[:-1], out=np.zeros(len(left) - 1), where=left[:-1] > 0)
 
 
 @dataclass(frozen=True, eq=False)
 class RobotChances:
-    """What can happen to one robot that follows its path alone. Axis `E` = entries of its path (waits left out).
+    """Probabilities of one robot that follows its path alone. Axis `E` = entries of its path (waits left out).
 
     Attributes:
-        steps, cells: int64 `[E]`, when and which cell is entered, the start at t = 0 first.
-        threat: float64 `[E]`, chance to be stopped there if it is entered: p of that cell, unless what robots bear
-            is not plain (`planner.failure_model`).
-        reach: float64 `[E]`, chance to enter it: the product of (1 - threat) over the entries before.
+        steps, cells: int64 `[E]`, step and cell of each entry, the start at t = 0 first.
+        threat: float64 `[E]`, probability that the entry destroys the robot if it is made: p of the cell, unless the
+            failure model differs (`planner.failure_model`).
+        reach: float64 `[E]`, probability of the entry: the product of (1 - threat) over the entries before.
         first: bool `[E]`, True at the first entry of each cell.
     """
 
@@ -213,21 +216,21 @@ class RobotChances:
 
     @property
     def passed(self) -> NDArray[np.float64]:
-        """float64 `[E]`, chance to enter the cell and not be stopped there."""
+        """float64 `[E]`, probability to enter the cell and survive."""
         return self.reach * (1.0 - self.threat)
 
     @property
     def survival(self) -> float:
-        """Eq. (1): chance that the robot finishes its path."""
+        """Eq. (1): probability that the robot finishes its path."""
         return float(self.passed[-1])
 
 
 def robot_chances(robot: RobotPlan, world: World, bearing: Bearing = PLAIN, number: int = 0) -> RobotChances:
-    """The chances along the path of robot `number`, in float64 from the world's float32 probabilities.
+    """Probabilities along the path of robot `number`, in float64 from the world's float32 threats.
 
-    Raises WorldError.
+    Raises WorldError for moving, uncertain or changing threats.
     """
-    world.check_settled("what a robot survives by eq. (1)")
+    world.check_settled("survival by eq. (1)")
     threat = world.threat.ravel()[robot.path[robot.entered]].astype(np.float64)
     return chances_along(robot, threat, bearing, number)
 
@@ -235,9 +238,9 @@ def robot_chances(robot: RobotPlan, world: World, bearing: Bearing = PLAIN, numb
 def chances_along(
     robot: RobotPlan, threat: NDArray[np.float64], bearing: Bearing = PLAIN, number: int = 0
 ) -> RobotChances:
-    """The same, where each entry stops the robot with the chance `threat` `[E]` if it is made, and it bears nothing.
+    """Probabilities along a path whose entries have the given `threat` `[E]`.
 
-    What it has borne by an entry: `-sum ln(1 - threat)`, of which it survives `Bearing.survival` (SPEC section 14).
+    The cumulative hazard at an entry is `-sum ln(1 - threat)`, with survival `Bearing.survival` (SPEC section 14).
     """
     steps = robot.entered
     cells = robot.path[steps]
@@ -253,12 +256,12 @@ def chances_along(
 def _first_of_each(cells: NDArray[np.int64]) -> NDArray[np.bool_]:
     """bool `[E]`: True at the first of equal cells."""
     places, first = np.arange(len(cells)), np.zeros(int(cells.max()) + 1, dtype=np.int64)
-    first[cells[::-1]] = places[::-1]  # of equal cells the last that is written stays
+    first[cells[::-1]] = places[::-1]  # the last write stays: the first of equal cells
     return first[cells] == places
 
 
 def chances_among(robot: RobotPlan, world: World, bearing: Bearing = PLAIN, waits: int = 0) -> RobotChances:
-    """The chances of one robot alone, where threats move: of every step, waits too (`theory.moving`).
+    """Probabilities of one robot alone among moving threats, for every step, waits included.
 
     `waits`: steps after its last move before it gives up.
     """
@@ -275,17 +278,17 @@ def chances_among(robot: RobotPlan, world: World, bearing: Bearing = PLAIN, wait
 
 
 def _met(robot: RobotPlan, world: World) -> NDArray[np.float64]:
-    """float64 `[E]`: p of each entry of its path, when it is made."""
+    """float64 `[E]`: p of each entry of its path at its step."""
     steps = robot.entered
     return world.by_phase.ravel()[world.visits(robot.path[steps], steps)].astype(np.float64)
 
 
 def chances_of(plan: Plan, world: World) -> list[RobotChances]:
-    """`robot_chances` of every robot. Who goes on from a state has entered its cell before; who was lost stays lost."""
+    """`robot_chances` of every robot. From a mission state, lost robots stay lost, and the first cell costs nothing."""
     if plan.state is None:
         own = world.of_robots(plan.bearing.types, len(plan.robots))
         return [robot_chances(robot, own[number], plan.bearing, number) for number, robot in enumerate(plan.robots)]
-    world.check_settled("what a robot survives by eq. (1)")
+    world.check_settled("survival by eq. (1)")
     begun = []
     for number, (robot, its) in enumerate(zip(plan.robots, plan.state.robots, strict=True)):
         threat = world.threat.ravel()[robot.path[robot.entered]].astype(np.float64)
@@ -296,15 +299,15 @@ def chances_of(plan: Plan, world: World) -> list[RobotChances]:
 
 @dataclass(frozen=True, eq=False)
 class OpenLoopExact:
-    """The open loop's exact values, in cells and probabilities; NaN what is not known (`open_loop_exact`).
+    """Exact values of the open loop, in cells and probabilities; NaN if unknown (`open_loop_exact`).
 
     Attributes:
-        visited_by_cell, survived_by_cell: float64 `[N]`, chance that the cell is covered, in each meaning.
+        visited_by_cell, survived_by_cell: float64 `[N]`, probability that the cell is covered, in each meaning.
         visited_curve, survived_curve: float64 `[T + 1]`, expected cells covered by the end of each step.
         stops_by_cell: float64 `[N]`, expected robots lost in each cell.
         survival: float64 `[K]`, eq. (1).
-        alive_chance: float64 `[K + 1]`, chance that so many robots finish.
-        time_chance: float64 `[T + 1]`, chance that the last move of a live robot is made at that step.
+        alive_chance: float64 `[K + 1]`, probability that so many robots finish.
+        time_chance: float64 `[T + 1]`, probability that the last move of a live robot is made at that step.
         losses_curve: float64 `[T + 1]`, expected robots lost by the end of each step.
     """
 
@@ -320,27 +323,27 @@ class OpenLoopExact:
 
     @property
     def is_known(self) -> bool:
-        """Whether coverage is."""
+        """Whether the expected coverage is known."""
         return bool(np.isfinite(self.visited))
 
     @property
     def visited(self) -> float:
-        """Expected cells visited."""
+        """Expected number of cells visited."""
         return float(self.visited_by_cell.sum())
 
     @property
     def survived(self) -> float:
-        """Expected cells entered by a robot that was not stopped there."""
+        """Expected number of cells that some robot entered and survived."""
         return float(self.survived_by_cell.sum())
 
     @property
     def some_left(self) -> float:
-        """Chance that some robot finishes: a sum, as 1 minus the chance that none does would lose all below 1e-16."""
+        """Probability that some robot finishes. A sum: 1 - P(none) would lose values below 1e-16."""
         return float(self.alive_chance[1:].sum())
 
     @property
     def expected_losses(self) -> float:
-        """Expected robots stopped before the end of their path."""
+        """Expected number of robots lost before the end of their path."""
         return float((1.0 - self.survival).sum())
 
     @property
@@ -362,14 +365,17 @@ FIELDS = tuple(field.name for field in fields(OpenLoopExact))
 
 
 def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
-    """The closed form `P(cell c covered) = 1 - prod_i (1 - S_i(c))` and what follows from independence.
+    """The closed form `P(cell c covered) = 1 - prod_i (1 - S_i(c))` and its consequences for independent robots.
 
-    `S_i(c)` is the chance that robot i gets as far as its first entry of c, before that entry's own hit check for
-    `visited` and after it for `survived`. Cost: linear in the total length of the paths. Where the map is in doubt: the
-    mean over the ways that it may be (`theory.doubt`); where they are too many, NaN in all that is not known. Where
-    threats move robots are not independent: known of one robot alone, on maps that are not too large (`chances_among`).
-    Threats that change with time: p of an entry is that of its step.
-    Robots that are not told the map meet the true one; NaN for who would run into an obstacle.
+    `S_i(c)` is the probability that robot i makes its first entry of c (`visited`), or survives it (`survived`).
+    Cost: linear in the total length of the paths.
+
+    - Uncertain maps and hazards: the mean over the states of `ways`; NaN if there are too many.
+    - Moving threats make robots dependent: known for one robot, on maps that are not too large (`chances_among`).
+    - Phases: p of an entry is that of its step.
+    - Robots that do not know the map meet the true map; NaN for a robot that would drive into an obstacle.
+
+    Source: docs/spec.md, section 6.
     """
     if world.phases is not None:
         robots = [
@@ -379,7 +385,7 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
     if world.doubt is None and world.knowledge is None:
         return exact_of(plan, chances_of(plan, world), world.threat.size)
     if world.movers is not None and len(plan.robots) == 1 and is_worth_it(world, plan.makespan):
-        waits = max(plan.time - plan.makespan, 0)  # of paths alone there are none
+        waits = max(plan.time - plan.makespan, 0)  # external plans have no waits
         one = chances_among(plan.robots[0], world, plan.bearing, waits)
         return exact_of(plan, [one], world.threat.size)
     doubt, plain = world.doubt, plan.bearing.is_plain
@@ -398,11 +404,10 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
 
 
 def coverage_gradient(plan: Plan, world: World) -> NDArray[np.float64]:
-    """d E[cells visited] / d p of every cell, `[H, W]`, for robots that go on along the same paths; 0 or below.
+    """d E[cells visited] / d p of every cell, `[H, W]`, 0 or below, for robots on unchanged paths.
 
-    A robot that enters a cell later in its path gets there with a chance that has the factor 1 - p for each visit of
-    the cell before; what it covers there and nobody else does is lost with it. Of robots that wear, or are more or less
-    susceptible, as if they did not, and were not.
+    The probability of an entry has the factor 1 - p for each earlier visit of the cell by the robot. A larger p costs
+    the later cells that no other robot covers. Weibull shape and hazard multipliers are ignored.
     """
     threat = world.threat.ravel().astype(np.float64)
     robots = [chances_along(robot, threat[robot.path[robot.entered]]) for robot in plan.robots]
@@ -419,7 +424,7 @@ def coverage_gradient(plan: Plan, world: World) -> NDArray[np.float64]:
 
 
 def _of_each_alone(plan: Plan, world: World) -> OpenLoopExact:
-    """What is known of the robots one by one: what one hits is not gone for another. NaN elsewhere."""
+    """The values that hold for each robot alone; a consumed hazard couples robots. NaN elsewhere."""
     robots = [chances_along(robot, threat) for robot, threat in zip(plan.robots, alone(plan, world), strict=True)]
     found = exact_of(plan, robots, world.threat.size)
     consumed = isinstance(world.doubt, Hazard) and world.doubt.kind == "consumed"
@@ -434,7 +439,7 @@ def _of_each_alone(plan: Plan, world: World) -> OpenLoopExact:
 
 
 def exact_of(plan: Plan, robots: list[RobotChances], cells: int) -> OpenLoopExact:
-    """The exact values of robots that are independent, from the chances along their paths."""
+    """Exact values of independent robots, from the probabilities along their paths."""
     horizon, state, none = 1 + max(int(r.steps[-1]) for r in robots), plan.state, np.zeros(0, dtype=np.int64)
     before = (none, none) if state is None else (state.visited, state.survived)
     turns = _turns(robots, before[0])
@@ -462,11 +467,11 @@ def exact_of(plan: Plan, robots: list[RobotChances], cells: int) -> OpenLoopExac
 
 
 Turn = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
-"""Cells that are covered by somebody more, at which steps, and the places of these first entries among all."""
+"""Cells, steps and positions of the first entries that are the n-th robot's of their cell."""
 
 
 def _turns(robots: list[RobotChances], before: NDArray[np.int64]) -> tuple[int, list[Turn]]:
-    """How many cells are covered `before`, for certain and from step 0 on, and who covers each first, second, ..."""
+    """The number of cells covered `before` step 0, and the first entries of every cell, in order of time."""
     cell = np.concatenate([before, *(r.cells[r.first] for r in robots)])
     step = np.concatenate([np.full(len(before), -1), *(r.steps[r.first] for r in robots)])
     order = np.lexsort((step, cell))
@@ -479,20 +484,20 @@ def _turns(robots: list[RobotChances], before: NDArray[np.int64]) -> tuple[int, 
 def _coverage(
     turns: tuple[int, list[Turn]], chances: list[NDArray[np.float64]], cells: int, horizon: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(chance of each cell `[N]`, expected new cells of each step `[T + 1]`) from the robots' first entries."""
+    """(probability of each cell `[N]`, expected new cells of each step `[T + 1]`) from the robots' first entries."""
     before, of_each = turns
     chance = np.concatenate([np.ones(before), *chances])
     covered, missed, gain = np.zeros(cells), np.ones(cells), np.zeros(horizon)
     for cell, step, now in of_each:
         new = missed[cell] * chance[now]
         np.add.at(gain, step, new)
-        covered[cell] += new  # 1 - missed would lose all below 1e-16
+        covered[cell] += new  # 1 - missed would lose values below 1e-16
         missed[cell] *= 1.0 - chance[now]
     return np.minimum(covered, 1.0), gain
 
 
 def _time_chance(robots: list[RobotChances], horizon: int) -> NDArray[np.float64]:
-    """Distribution of the last step at which a live robot moves: the latest of independent robots."""
+    """Distribution of the last step at which a live robot moves: the maximum over independent robots."""
     at_most = np.ones(horizon)
     for robot in robots:
         ends = np.bincount(robot.steps, robot.reach * robot.threat, horizon)
@@ -511,15 +516,15 @@ def poisson_binomial(chances: NDArray[np.float64]) -> NDArray[np.float64]:
     return pmf
 
 
-# What cells are worth: the open loop's expected value covered and found, exactly, per cell (SPEC section 13).
+# The value of cells: the open loop's exact expected value covered and found, per cell (SPEC section 13).
 
 
 @dataclass(frozen=True, eq=False)
 class Worth:
-    """What the cells of a map are worth and show. Axis `N` = H * W cells; what nobody can reach is in them too.
+    """Value and detection probability of the cells of a map, also of unreachable ones. Axis `N` = H * W cells.
 
     Attributes:
-        value: float64 `[N]`. detect: float64 `[N]`, chance that a survived visit finds what is there.
+        value: float64 `[N]`. detect: float64 `[N]`, probability that a survived visit finds the content of the cell.
     """
 
     value: NDArray[np.float64]
@@ -527,29 +532,31 @@ class Worth:
 
     @classmethod
     def of(cls, world: World) -> Worth:
-        """1 each where nobody said; 0 on obstacles."""
+        """The world's values and detection probabilities; the default is 1 for free cells, 0 for obstacles."""
         free = world.free
         value, detect = (layer if layer is not None else free.astype(float) for layer in (world.value, world.detect))
         return cls(value.ravel(), detect.ravel())
 
     @property
     def is_plain(self) -> bool:
-        """Whether one survived visit of a cell tells what more of them would: it finds all, or nothing, or no value."""
+        """Whether further survived visits of a cell add nothing: its detection is 0 or 1, or its value 0."""
         return bool((((self.detect == 0) | (self.detect == 1)) | (self.value == 0)).all())
 
     @property
     def total(self) -> float:
-        """Of all free cells."""
+        """Value of all free cells."""
         return float(self.value.sum())
 
 
 def open_loop_found(plan: Plan, world: World) -> NDArray[np.float64]:
-    """P(found in c) of the open loop, float64 `[N]`: the chance that what is in the cell is found, if it is there.
+    """P(found in c) of the open loop, float64 `[N]`: probability that the content of the cell is found.
 
-    `P(found in c) = 1 - prod_i E[(1 - d)^(N_i)]`, N_i the survived visits of c by robot i: robots are stopped
-    independently of each other, and every survived visit detects with d on its own. N_i is j or more iff the robot
-    passes its j-th entry of c, which has chance s_ij: what it survives of its entries up to that one. So
+    `P(found in c) = 1 - prod_i E[(1 - d)^(N_i)]`, N_i the survived visits of c by robot i, because robots are
+    independent and every survived visit detects with d independently. N_i >= j iff the robot survives its j-th entry of
+    c, which has probability s_ij. So
     `E[(1 - d)^(N_i)] = 1 - sum_j s_ij ((1 - d)^(j - 1) - (1 - d)^j) = 1 - d sum_j s_ij (1 - d)^(j - 1)`.
+
+    Source: docs/spec.md, section 13.
     """
     detect = Worth.of(world).detect
     total, missed = np.zeros(world.threat.size), np.ones(world.threat.size)
@@ -561,6 +568,6 @@ def open_loop_found(plan: Plan, world: World) -> NDArray[np.float64]:
         turn = np.arange(len(cells)) - np.repeat(first, np.diff(first, append=len(cells)))
         found = np.zeros(world.threat.size)
         np.add.at(found, cells, detect[cells] * robot.passed[order] * (1.0 - detect[cells]) ** turn)
-        total += missed * found  # 1 - missed would lose all below 1e-16
+        total += missed * found  # 1 - missed would lose values below 1e-16
         missed *= 1.0 - found
     return np.minimum(total, 1.0)

@@ -1,4 +1,4 @@
-"""The programme of flow behind the bound for every strategy: the world as it sees it, and the bound for one robot."""
+"""The linear programme behind the policy-independent upper bound: its nodes, its way constraints, the single robot."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from planner.simulator.jit import compiled
 from planner.simulator.searches import neighbour_table
 from planner.world.world import FOUR_NEIGHBOURS, World, check_starts
 
-# A world as bounds for every strategy see it: dangerous cells, and safe areas in which moves are free.
+# A world as a graph for the bounds: dangerous cells, and safe areas in which moves are free.
 
 ULP = 2.0**-52
 
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """A world as the programme sees it. Axes: `V` nodes, `E` pairs of nodes side by side, each in both directions.
+    """A world as a graph. Axes: `V` nodes, `E` pairs of neighbouring nodes, each in both directions.
 
     Attributes:
-        weight: float64 `[V]`, cells, or no less than what they are worth. threat: float64 `[V]`.
+        weight: float64 `[V]`, cells, or an upper bound of their value. threat: float64 `[V]`.
         starts: int64 `[V]`, robots that start there.
-        reach: float64 `[V]`, no less than the chance that a cell of the node can be given to be visited.
+        reach: float64 `[V]`, upper bound of the probability that a cell of the node is visited.
         source, target: int64 `[E]`, a move.
     """
 
@@ -44,7 +44,7 @@ class Nodes:
 
     @property
     def robots(self) -> int:
-        """k."""
+        """Size k of the team."""
         return int(self.starts.sum())
 
 
@@ -65,11 +65,11 @@ def contract(world: World, starts: NDArray[np.int64], value: NDArray[np.float64]
     threat, reach = np.zeros(count), np.zeros(count)
     threat[node[dangerous.ravel()]] = world.threat.ravel()[dangerous.ravel()]
     np.maximum.at(reach, node[flat], reach_chances(world, starts)[flat])
-    slack = len(starts) * (world.threat.size + 64) * ULP  # of sums of hazards, and of one product a robot
-    worth = np.ones(world.threat.size) if value is None else value.ravel()
-    weight = np.bincount(node[flat], worth[flat], count).astype(np.float64)
+    slack = len(starts) * (world.threat.size + 64) * ULP  # rounding of sums of hazards, and of one product a robot
+    node_value = np.ones(world.threat.size) if value is None else value.ravel()
+    weight = np.bincount(node[flat], node_value[flat], count).astype(np.float64)
     if value is not None:
-        weight *= 1.0 + world.threat.size * ULP  # of sums
+        weight *= 1.0 + world.threat.size * ULP  # rounding of sums
     begin = node[starts[:, 0] * world.shape[1] + starts[:, 1]]
     return Nodes(
         weight=weight,
@@ -81,7 +81,7 @@ def contract(world: World, starts: NDArray[np.int64], value: NDArray[np.float64]
     )
 
 
-# A linear programme in HiGHS. Nothing that it says is trusted: whoever asks proves it.
+# A linear programme in HiGHS. Its result is not trusted; the caller certifies it.
 
 INF = highspy.kHighsInf
 Floats = NDArray[np.float64]
@@ -96,48 +96,45 @@ def make_solver(cost: Floats, upper: Floats, rows: csc_array, least: Floats, mos
     programme.a_matrix_.start_, programme.a_matrix_.index_ = rows.indptr, rows.indices
     programme.a_matrix_.value_ = rows.data
     solver.silent()
-    solver.setOptionValue("threads", 1)  # none of its own, which a fork of this process would lack
+    solver.setOptionValue("threads", 1)  # a fork of this process would lack the solver's threads
     solver.passModel(programme)
     return solver
 
 
-# Ways: a node is visited no more often than somebody gets to it; how the programme of flow is held to that.
+# Ways: a node is visited no more often than it is reached; the constraint that enforces this.
 #
 # Flow alone lets half a robot enter a region and go round in it twice, and counts every node there as visited once. So
-# a
-# row is added for a node v and a potential `pi >= 0` of the nodes: with `psi_t = (1 - p_t) pi_t`, but `psi_v = 1`,
+# a row is added for a node v and a potential `pi >= 0` of the nodes: with `psi_t = (1 - p_t) pi_t`, but `psi_v = 1`,
 #
 #     way:  y_v <= sum_u s_u psi_u + sum over moves u -> t, u other than v, of max(0, psi_t - pi_u) x_ut
 #
-# Proof. Until v is first visited let every robot that lives have the potential of its node. A move u -> t changes it by
-# `psi_t - pi_u` on average, whatever came before; from then on v counts 1, and potentials no longer matter. So the
-# chance
-# that v is visited is at most what there is at the start and what the moves before it add, of which there are x at
-# most.
+# Proof. Until v is first visited let every live robot have the potential of its node. A move u -> t changes it by
+# `psi_t - pi_u` on average, for any past; from the visit on v counts 1, and potentials no longer matter. So the
+# probability that v is visited is at most the potential at the start and the increase by the moves before the visit, of
+# which there are x at most.
 #
-# Which potential: the nodes W on the far side of a minimal cut, each with the chance that a robot that is there
-# reaches v
-# without leaving W, and 0 elsewhere. Then moves into W alone are counted, each with its chance to get to v. Cuts are
-# found by flow from the starts to v, at most the moves that are survived (what Dantzig, Fulkerson & Johnson's subtours
-# are to routes). Potentials need not be right for rows to hold: coefficients are rounded upwards.
+# Choice of the potential: the nodes W on the far side of a minimal cut have the probability that a robot there reaches
+# v without leaving W, other nodes have 0. Then only moves into W count, each with its probability to reach v. Cuts are
+# found by maximum flow from the starts to v, with the survived moves as capacities (as in the subtour constraints of
+# Dantzig, Fulkerson & Johnson). Rows hold for any potential; coefficients are rounded upwards.
 
 UNITS = 2**24
-"""Of flow, which is whole; more than one robot's is never needed."""
+"""Integer units of flow; more than one robot's flow is never needed."""
 LEAST = 1e-4
-"""What a row has to be violated by."""
+"""Smallest violation for which a row is added."""
 MOST = 200
-"""Nodes for which a way is sought at a time: those that count most."""
+"""Nodes for which a way is sought in a round: those of largest weighted probability."""
 
 
 class Spend(NamedTuple):
-    """Of a set D, its `members` int64 `[|D|]` spend so much at `most` (`analysis.theory.upper_bound`)."""
+    """Constraint of a set D: its `members` int64 `[|D|]` lose at most `most` robots (`analysis.theory.upper_bound`)."""
 
     members: NDArray[np.int64]
     most: float
 
 
 class Way(NamedTuple):
-    """`y[node] <= free + share @ x[moves]`; int64 and float64 `[m]`, no less than exact."""
+    """Constraint `y[node] <= free + share @ x[moves]`; int64 and float64 `[m]`, rounded up."""
 
     node: int
     moves: NDArray[np.int64]
@@ -146,7 +143,7 @@ class Way(NamedTuple):
 
 
 def missing_ways(nodes: Nodes, moves: NDArray[np.float64], visited: NDArray[np.float64]) -> Iterator[Way]:
-    """Ways that a solution lacks: expected `moves` `[E]` and `visited` `[V]` that violate them."""
+    """Way constraints that a solution violates; expected `moves` `[E]`, `visited` `[V]`."""
     count, begin = len(nodes.weight), np.flatnonzero(nodes.starts)
     source, target = np.append(nodes.source, np.full(len(begin), count)), np.append(nodes.target, begin)
     passed = 1.0 - nodes.threat
@@ -174,7 +171,7 @@ def _whole(flow: NDArray[np.float64]) -> NDArray[np.int32]:
 
 
 def way_within(nodes: Nodes, node: int, inside: NDArray[np.bool_]) -> Way:
-    """The way to a node by moves into the nodes `inside` bool `[V]`, it among them."""
+    """The way constraint of a node for moves into the nodes `inside` bool `[V]`, which contain it."""
     passed, count = 1.0 - nodes.threat, len(nodes.weight)
     hazard = np.where(nodes.target == node, 0.0, -np.log1p(-nodes.threat)[nodes.target])
     held = inside[nodes.source] & inside[nodes.target]
@@ -182,7 +179,7 @@ def way_within(nodes: Nodes, node: int, inside: NDArray[np.bool_]) -> Way:
     far = dijkstra(csr_array(backwards, shape=(count, count)), indices=node)
     rank = np.empty(count)
     rank[np.argsort(far, kind="stable")] = np.arange(count)
-    potential = np.exp(-far) * (1.0 + 2.0**-46 * rank)  # so that moves along the best way count nothing for certain
+    potential = np.exp(-far) * (1.0 + 2.0**-46 * rank)  # so that rounding gives moves along the best way no share
     after = passed * potential
     after[node] = 1.0
     more, less = after[nodes.target], potential[nodes.source]
@@ -192,23 +189,21 @@ def way_within(nodes: Nodes, node: int, inside: NDArray[np.bool_]) -> Way:
     return Way(node, entered, share[entered], free)
 
 
-# The best that any strategy can do, exactly, on tiny worlds: what policies and bounds answer to.
+# The optimum over all strategies, exactly, on tiny worlds: an oracle for policies and bounds.
 #
-# Expected cells visited under a strategy that sees everything (which robots live, where they stand, what is visited)
-# and
-# decides as it goes. Robots may as well move one at a time, the others waiting: there is no limit of time, and who
-# moves
-# later knows more. Moves inside a safe area are free, so the nodes are those of `analysis.theory.flow_programme`.
+# Expected cells visited under a strategy that knows the full state (robots alive, positions, visited cells) at each
+# decision. Moving one robot at a time is no restriction: there is no time limit, and a later decision has more
+# information. Moves inside a safe area are free, so the nodes are those of `contract`.
 
 MOST_TO_VISIT = {1: 14, 2: 10}
-"""Nodes without a start that a world may have, by the number of robots: up to 2 to their power sets; a second or so."""
+"""Most nodes without a start, by the number of robots: their power set is enumerated, in about a second."""
 
 
 def optimum(world: World, starts: ArrayLike) -> float | None:
-    """The greatest expected number of cells visited, for robots at `starts` `[K, 2]`.
+    """The largest expected number of cells visited by robots at `starts` `[K, 2]`; None beyond MOST_TO_VISIT.
 
-    None for more robots or a larger world than MOST_TO_VISIT has. Dynamic programming from all nodes visited
-    backwards: with the set of visited nodes fixed, values rise until no move raises one. Cost: as MOST_TO_VISIT says.
+    Dynamic programming backwards from all nodes visited: for a fixed set of visited nodes, values rise until no move
+    raises one.
     """
     checked = check_starts(starts, world.threat, world.source)
     nodes = contract(world, checked)
@@ -228,7 +223,7 @@ def optimum(world: World, starts: ArrayLike) -> float | None:
 
 
 def _enter(value: NDArray[np.float64], nodes: Nodes, at: list[int]) -> float:
-    """The mean of `value` `[V + 1, ...]` over who survives the start nodes `at`; place V of an axis: stopped."""
+    """The mean of `value` `[V + 1, ...]` over the robots' survival at the start nodes `at`; index V: lost."""
     for node in at:
         value = value[node] - nodes.threat[node] * (value[node] - value[-1])
     return float(value)
@@ -237,9 +232,9 @@ def _enter(value: NDArray[np.float64], nodes: Nodes, at: list[int]) -> float:
 def _with_visited(
     nodes: Nodes, visited: frozenset[int], more: dict[frozenset[int], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """The value of every place of the robots, `[V + 1, ...]` an axis a robot, once these nodes are visited.
+    """The value of every position of the robots, `[V + 1, ...]`, an axis a robot, once these nodes are visited.
 
-    `more`: the same with one node more visited.
+    `more`: the same with one more node visited.
     """
     count, team = len(nodes.weight), int(nodes.starts.sum())
     best = np.full((count + 1,) * team, float(nodes.weight[list(visited)].sum()))
@@ -250,49 +245,48 @@ def _with_visited(
             moved, here = np.moveaxis(best, robot, 0), np.moveaxis(best.copy(), robot, 0)
             for v in (*visited, *new):
                 there = here if v in visited else np.moveaxis(more[visited | {v}], robot, 0)
-                gain = there[v] - nodes.threat[v] * (there[v] - there[count])  # rounding raises none
+                gain = there[v] - nodes.threat[v] * (there[v] - there[count])  # no rounding upwards
                 beside = nodes.source[nodes.target == v]
                 moved[beside] = np.maximum(moved[beside], gain)
         if (best == before).all():
             return best
 
 
-# One robot: the bound of the programme of flow, held to a single walk by prices on being counted again.
+# One robot: the bound of the programme, restricted to a single walk by prices on repeated counts.
 #
-# The programme lets a robot be early everywhere, half of it first left and then right, half the other way round. But
-# a single robot knows one history alone, that it lives: its strategy is a walk. Each row of the programme, `sum_v b_v
-# y_v <= c + sum_uv t_uv x_uv` (spend: t = 0; way: b = 1 for one node), has a price. What a walk is worth at prices n
-# and z,
+# The programme lets a robot be early everywhere, half of it first left and then right, half the other way round. But a
+# single robot knows only one history, that it is alive: its strategy is a walk. Each row of the programme, `sum_v b_v
+# y_v <= c + sum_uv t_uv x_uv` (spend: t = 0; way: b = 1 for one node), has a price. The value of a walk at prices n and
+# z,
 #
 #   sum_v w_v y_v <= sum_v g_v max(0, w_v - n_v - (z b)_v) + z c + E[sum of n_v over nodes visited, (z t)_uv over moves]
 #
-# is then bounded where nodes may be counted again, for a toll. Let a clock advance by a whole number `d_v` with every
-# move to a dangerous node v, and `grow` be a function of it with grow(0) <= 1 and `grow(h) >= (1 - p_v) grow(h +
-# d_v)` for every dangerous v. Whoever first arrives at v at h pays `m_v grow(h)`: as `grow` times the chance to live
-# never rises along a walk, that is at most `m_v >= 0` on average. So the expectation is at most `sum m_v` and what a
-# walk brings on which every arrival at v counts `max(0, n_v - m_v grow(h))`, but that the REMEMBERED largest safe
-# areas count `n_v`, once. At the last hour prices end, and all that is left is given away. The best such walk is
-# found from the last hour backwards, over (clock, areas had, node). Late hours are dear: a robot that lives visits
-# every node once.
+# is then bounded where nodes may be counted again, for a toll. Let a clock advance by an integer `d_v` with every move
+# to a dangerous node v, and `grow` be a function of it with grow(0) <= 1 and `grow(h) >= (1 - p_v) grow(h + d_v)` for
+# every dangerous v. The first arrival at v at clock h pays `m_v grow(h)`: as `grow` times the survival never rises
+# along a walk, that is at most `m_v >= 0` on average. So the expectation is at most `sum m_v` and the value of a walk
+# on which every arrival at v counts `max(0, n_v - m_v grow(h))`, except that the REMEMBERED largest safe areas count
+# `n_v`, once. At the last hour prices end, and all remaining weight is added. The best such walk is found from the last
+# hour backwards, over (clock, areas visited, node). Late hours are loose: a live robot then visits every node once.
 #
-# Prices begin as those of the programme, whose bound they prove, and are bettered by cutting planes in a box around
-# the best (Marsten, Hogan & Blankenship 1975). They need not be right: what they prove is added up, every rounding
-# upwards. Walks that forget are those of Christofides, Mingozzi & Toth (1981) for vehicle routing, clocks those of
-# Abeledo et al. (2013) for salesmen who count time.
+# Initial prices are those of the programme, whose bound they prove. They are improved by cutting planes in a box around
+# the best (Marsten, Hogan & Blankenship 1975). Any prices prove a bound; it is added up with every rounding upwards.
+# Walks with limited memory are those of Christofides, Mingozzi & Toth (1981) for vehicle routing, clocks those of
+# Abeledo et al. (2013) for the time-dependent travelling salesman.
 
 REMEMBERED = 4
 """Safe areas that no walk counts twice."""
 TICK, LAST = 0.08, 10.0
 """Hazard -log(1 - p) of a tick of the clock, and of its last hour."""
 ROUNDS, ENOUGH = 150, 2e-4
-"""Times that prices are changed at most; it ends when a share of the cells so small is left to win."""
+"""Most changes of the prices; the search ends when the possible gain is below this share of the cells."""
 MOST_NODES = 1000
-"""Nodes up to which it is worked out: a round takes some 40 ns times 2**REMEMBERED, LAST / TICK and the nodes."""
+"""Nodes up to which it is computed: a round takes some 40 ns times 2**REMEMBERED, LAST / TICK and the nodes."""
 UP = 1.0 + 8 * ULP
 
 
 class Walks(NamedTuple):
-    """What walks are made of; moves `[E]` by their source.
+    """The graph of walks; moves `[E]` sorted by their source.
 
     Attributes:
         weight: float64 `[V]`, cells; 0 of the start. passed: float64 `[V]`, 1 - p. ticks: int64 `[V]`, 0 of safe nodes.
@@ -310,7 +304,7 @@ class Walks(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """The programme's rows: `paid` `[R, V]` (b), `share` `[R, E]` (t, moves by their source), `most` `[R]` (c)."""
+    """The programme's rows: `paid` `[R, V]` (b), `share` `[R, E]` (t, moves sorted by source), `most` `[R]` (c)."""
 
     paid: csr_array
     share: csr_array
@@ -318,7 +312,7 @@ class Rows(NamedTuple):
 
 
 class Prices(NamedTuple):
-    """Of nodes `[V]` (n), rows `[R]` (z), and of being counted again `[V]` (m); all >= 0."""
+    """Prices of nodes `[V]` (n), of rows `[R]` (z), and of repeated counts `[V]` (m); all >= 0."""
 
     visit: NDArray[np.float64]
     rows: NDArray[np.float64]
@@ -330,7 +324,7 @@ def single_bound(
 ) -> float:
     """The certified bound for the one robot of `nodes`, in cells.
 
-    `rows`, `arrive` `[V]`, `prices` `[R]`: those of the programme, and its prices, to begin with.
+    `rows`, `arrive` `[V]`, `prices` `[R]`: rows and prices of the programme, as initial values.
     """
     walks, start, held = _walks(nodes), int(np.flatnonzero(nodes.starts)[0]), _rows(nodes, rows)
     shape = (len(walks.grow), 2 ** int((walks.bit >= 0).sum()), len(nodes.weight))
@@ -395,7 +389,7 @@ def _reach(nodes: Nodes) -> NDArray[np.float64]:
 
 
 def _proven(nodes: Nodes, rows: Rows, at: Prices, walk: float) -> float:
-    """The bound that prices prove, where a walk brings at most `walk` from the start."""
+    """The bound that prices prove, if a walk gains at most `walk` from the start."""
     paid = at.visit + rows.paid.T @ at.rows
     slack = (len(at.rows) + 8) * ULP
     left = np.maximum(nodes.weight - paid, 0.0) + slack * (nodes.weight + paid)
@@ -412,9 +406,9 @@ def _backwards(
     value: NDArray[np.float64],
     chosen: NDArray[np.int32],
 ) -> None:
-    """Fills `value` `[G + 1, 2**b, V]` and the move `chosen` there, -1: none; by clock, areas had and node.
+    """Fill `value` `[G + 1, 2**b, V]` and the best move `chosen` (-1: none), by clock, areas visited and node.
 
-    Safe nodes first: moves to them take no time, and between them there are none. `toll` `[E]`: what a move brings.
+    Safe nodes come first: moves to them take no time, and there are none between them. `toll` `[E]`: gain of a move.
     """
     last, nodes = len(walks.grow) - 1, len(count)
     for had in range(value.shape[1]):
@@ -423,10 +417,10 @@ def _backwards(
             if walks.bit[node] < 0 or not (had >> walks.bit[node]) & 1:
                 left += walks.weight[node]
         value[last, had, :] = left * (1.0 + nodes * ULP)
-    worth = np.empty(nodes)
+    node_value = np.empty(nodes)
     for hour in range(last - 1, -1, -1):
         for node in range(nodes):
-            worth[node] = max(0.0, count[node] - again[node] * walks.grow[hour])
+            node_value[node] = max(0.0, count[node] - again[node] * walks.grow[hour])
         for had in range(value.shape[1] - 1, -1, -1):
             for safe in (True, False):
                 for node in range(nodes):
@@ -435,7 +429,7 @@ def _backwards(
                     best, move = 0.0, -1
                     for at in range(walks.first[node], walks.first[node + 1]):
                         target = walks.target[at]
-                        gain, then = worth[target], had
+                        gain, then = node_value[target], had
                         if walks.bit[target] >= 0:
                             then = had | (1 << walks.bit[target])
                             gain = count[target] if then != had else 0.0
@@ -455,7 +449,7 @@ def _follow(
     start: int,
     alive: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
-    """Of the walk that was chosen: counts `[V]`, moves `[E]`, each price's share `[V]`, and what it is given."""
+    """Statistics of the chosen walk: counts `[V]`, moves `[E]`, each price's share `[V]`, remaining weight added."""
     last, hour, had, node = len(walks.grow) - 1, 0, 0, start
     counts, moves, pays = np.zeros(len(count)), np.zeros(len(walks.target)), np.zeros(len(count))
     while hour < last and chosen[hour, had, node] >= 0:
@@ -478,10 +472,10 @@ def _follow(
 
 
 class _Master:
-    """Prices, and the most that the walks so far bring at them, in the solver."""
+    """Linear programme of the prices: cutting planes from the walks so far."""
 
     def __init__(self, nodes: Nodes, rows: Rows) -> None:
-        """Columns are n `[V]`, z `[R]`, m `[V]`, what is left of a node `[V]`, and the walks' most."""
+        """Columns are n `[V]`, z `[R]`, m `[V]`, the remainder of each node `[V]`, and the walks' maximum."""
         count, self._rows = len(nodes.weight), rows
         self._boxed = 2 * count + len(rows.most)
         every = np.arange(count)
@@ -495,14 +489,14 @@ class _Master:
     def add(
         self, counts: NDArray[np.float64], moves: NDArray[np.float64], pays: NDArray[np.float64], given: float
     ) -> None:
-        """One more walk."""
+        """Add a walk."""
         brings = np.concatenate([counts, self._rows.share @ moves, -pays])
         used = np.flatnonzero(brings)
         columns = np.append(used, self._boxed + len(counts)).astype(np.int32)
         self._solver.addRow(given, INF, len(columns), columns, np.append(-brings[used], 1.0))
 
     def least(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-        """(prices between these `[V + R + V]` that promise the least, what they promise)."""
+        """(prices in these limits `[V + R + V]` that minimise the predicted bound, that bound)."""
         self._solver.changeColsBounds(self._boxed, np.arange(self._boxed, dtype=np.int32), low, high)
         self._solver.run()
         found = np.array(self._solver.getSolution().col_value)[: self._boxed]

@@ -1,4 +1,4 @@
-"""A bound for every strategy: no team covers more of this map, however it decides and whatever it learns on the way."""
+"""Policy-independent upper bounds: no strategy of a team covers more of this map on average, adaptive ones included."""
 
 from __future__ import annotations
 
@@ -30,41 +30,37 @@ from planner.simulator.searches import neighbour_table
 from planner.world.uncertain_maps import Hazard
 from planner.world.world import World, check_starts
 
-# The programme of flow: expected cells visited that no strategy exceeds, proven by prices.
+# The linear programme over expected moves: an upper bound of expected cells visited, certified by its dual prices.
 #
-# A linear programme over the expected moves of the team, solved by HiGHS and then not trusted: its dual solution is
-# made
-# feasible by rounding, checked in exact rational arithmetic, and what it proves is the bound.
+# The programme is solved by HiGHS, whose result is not trusted: its dual solution is rounded to a feasible one and
+# evaluated in exact rational arithmetic, which gives the bound.
 #
-# Nodes `V`: the dangerous cells, and the safe areas (4-connected sets of safe cells, in which moves are free). `w`
-# cells
-# and threat `p` of a node (p of a safe area is 0); `s` robots start there. Unknowns: `x_uv`, expected moves of the team
-# from node u to node v, and `y_v`, the chance that a cell of v is visited. Maximise `sum w_v y_v` subject to
+# Nodes `V`: the dangerous cells, and the safe areas (4-connected sets of safe cells, in which moves are free). A node
+# has `w` cells and threat `p` (0 for a safe area); `s` robots start there. Unknowns: `x_uv`, expected moves of the team
+# from node u to node v, and `y_v`, the probability that a cell of v is visited. Maximise `sum w_v y_v` subject to
 #
 #     flow:    sum_v x_uv <= (1 - p_u) a_u         a_u = s_u + sum_t x_tu, the expected arrivals
 #     arrive:  y_v <= a_v
 #     reach:   y_v <= g_v                          `analysis.theory.bounds.reach_chances`
 #     spend:   sum_D p_v y_v <= E min(k, hits)     for every set D of dangerous cells
-#     way:     a cell is visited no more often than somebody gets there, `analysis.theory.flow_programme`
+#     way:     a cell is visited no more often than it is reached, `analysis.theory.flow_programme`
 #
 # Proof. A robot leaves a node only after an arrival that it survived; a cell is visited only if its node is arrived at.
-# The team's first visit of a cell stops the robot with chance p whatever came before, so the left side of `spend` is
-# the
-# expected number of robots stopped at first visits of D. They are at most k, and at most as many as there are hits
-# among
-# |D| draws made in advance, one a cell: a Poisson-binomial number. So the expectations of any strategy satisfy the
-# programme, and its optimum is no smaller than their `sum w_v y_v`. Presumes that every visit is checked on its own.
+# The team's first visit of a cell destroys the robot with probability p for any past, so that the left side of `spend`
+# is the expected number of robots lost at first visits of D. They are at most k, and at most as many as there are hits
+# among |D| draws made in advance, one a cell: a Poisson-binomial number. So the expectations of any strategy satisfy
+# the programme, and its optimum is at least their `sum w_v y_v`. Assumption: every visit is checked independently.
 
 ROUNDS = 200
-"""Times that it is solved at most; fewer only make the bound less sharp."""
+"""Most solutions of the programme; fewer give a weaker bound."""
 GAIN, PATIENCE = 2e-4, 10
-"""It ends when so many rounds together gain less than this share of the cells."""
+"""It ends when PATIENCE rounds together gain less than this share of the cells."""
 NEW_SETS = 8
-"""Sets D added a round from each order of the cells."""
+"""Sets D added in a round from each order of the cells."""
 
 
 SWEEPS = 100
-"""Times that prices are raised one by one."""
+"""Most sweeps that raise the prices one by one."""
 
 
 Row = Spend | Way
@@ -80,9 +76,11 @@ class Dual:
 
 
 def flow_bound(nodes: Nodes, rounds: int = ROUNDS, ways: bool = True) -> float:
-    """The programme's certified bound, in cells: sets D and ways are added while the solution violates them.
+    """The certified bound of the programme, in cells. Violated constraints (sets D and ways) are added in rounds.
 
-    `rounds`: times that it is solved at most. `ways`: False leaves them out, for a fifth of the time.
+    Args:
+        nodes: the world. rounds: most solutions of the programme.
+        ways: False omits the way constraints, for a fifth of the time.
     """
     dangerous = np.flatnonzero(nodes.threat > 0)
     programme = Programme(nodes)
@@ -103,7 +101,7 @@ def flow_bound(nodes: Nodes, rounds: int = ROUNDS, ways: bool = True) -> float:
 
 
 def _overspent(nodes: Nodes, order: NDArray[np.int64], visited: NDArray[np.float64]) -> Iterator[Spend]:
-    """The beginnings D of `order` that spend most above what is allowed; none within rounding."""
+    """The prefixes D of `order` that violate `spend` most; none within rounding."""
     most = most_stopped(nodes.threat[order], nodes.robots)
     over = np.cumsum(nodes.threat[order] * visited[order]) - most
     peaks = np.flatnonzero((over >= np.append(over[1:], -1.0)) & (over > np.insert(over[:-1], 0, -1.0)) & (over > 1e-6))
@@ -114,7 +112,7 @@ def _overspent(nodes: Nodes, order: NDArray[np.int64], visited: NDArray[np.float
 def most_stopped(threat: NDArray[np.float64], robots: int) -> NDArray[np.float64]:
     """E min(robots, hits) of the first 1, 2, ... cells of `threat` `[C]`, one visit each, float64 `[C]`; rounded up.
 
-    Sums and products of positive numbers alone, three roundings a cell: a relative error of (4 C + k) ulp at most.
+    Only sums and products of positive numbers, three roundings a cell: the relative error is at most (4 C + k) ulp.
     """
     at_least = np.zeros(min(robots, len(threat)) + 1)
     at_least[0] = 1.0
@@ -126,10 +124,10 @@ def most_stopped(threat: NDArray[np.float64], robots: int) -> NDArray[np.float64
 
 
 class Programme:
-    """The programme with the `rows` so far. It stays in the solver: they are added to a basis that is kept."""
+    """The programme with its `rows` so far. It stays in the solver, so that added rows reuse the basis."""
 
     def __init__(self, nodes: Nodes) -> None:
-        """Without more rows; columns are x `[E]` and y `[V]`, rows `flow` `[V]` and `arrive` `[V]`."""
+        """Without added rows: columns are x `[E]` and y `[V]`, rows `flow` `[V]` and `arrive` `[V]`."""
         self.nodes, self.rows = nodes, list[Row]()
         count, moves = len(nodes.weight), len(nodes.source)
         every, each, passed = np.arange(moves), np.arange(count), 1.0 - nodes.threat
@@ -143,7 +141,7 @@ class Programme:
         self._solver = make_solver(cost, upper, rows, np.full(2 * count, -INF), most)
 
     def add(self, found: Sequence[Row]) -> None:
-        """More rows."""
+        """Add rows."""
         first = len(self.nodes.source)
         for row in found:
             if isinstance(row, Way):
@@ -154,10 +152,10 @@ class Programme:
         self.rows += found
 
     def solve(self) -> tuple[NDArray[np.float64], NDArray[np.float64], Dual]:
-        """(x `[E]`, y `[V]`, the prices)."""
+        """Solve the programme: (x `[E]`, y `[V]`, prices)."""
         self._solver.run()
         found, count = self._solver.getSolution(), len(self.nodes.weight)
-        if not found.dual_valid:  # no prices: they prove nothing, and the other bounds stand
+        if not found.dual_valid:  # without prices this bound is trivial; the others remain
             nothing = np.zeros(count)
             return np.zeros(len(self.nodes.source)), nothing, Dual(nothing, nothing, np.zeros(len(self.rows)))
         prices = np.maximum(-np.array(found.row_dual), 0.0)
@@ -166,12 +164,12 @@ class Programme:
 
 
 def certified(nodes: Nodes, rows: Sequence[Row], dual: Dual) -> float:
-    """What prices prove, in cells, whatever they are: they are made feasible, and checked and added up exactly.
+    """The bound that any prices prove, in cells: they are made feasible, and evaluated exactly.
 
-    Feasible are prices >= 0 with `flow_u >= (1 - p_v) flow_v + arrive_v + (the shares of all ways in u -> v)` for every
-    move, and for every node `arrive_v + reach_v + p_v (the spend of all D with v in it) + (the ways to v) >= w_v`.
-    `flow` is raised until the first holds, and takes the `reach` that is left. Then `sum (1 - p) s flow + s arrive +
-    g reach + (what D allows) spend + (what is free) way` is no less than the programme's optimum.
+    Prices >= 0 are feasible if `flow_u >= (1 - p_v) flow_v + arrive_v + (shares of all ways in u -> v)` for every move,
+    and `arrive_v + reach_v + p_v (spend of all D with v in it) + (ways to v) >= w_v` for every node. `flow` is raised
+    until the first holds, and `reach` takes the remainder. Then `sum (1 - p) s flow + s arrive + g reach + (limit of D)
+    spend + (free part) way` is at least the programme's optimum.
     """
     tolls, paid, total = [Fraction(0)] * len(nodes.source), [Fraction(0)] * len(nodes.weight), Fraction(0)
     passed = [1 - Fraction(p) for p in nodes.threat.tolist()]
@@ -201,10 +199,10 @@ def certified(nodes: Nodes, rows: Sequence[Row], dual: Dual) -> float:
 
 
 def _feasible(nodes: Nodes, dual: Dual, toll: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Prices `flow` `[V]`, no lower than these, for which every move's condition holds; `toll` `[E]`: of its ways.
+    """Feasible prices `flow` `[V]`, no lower than the dual's; `toll` `[E]`: sum of the ways' shares of each move.
 
-    They are raised where they fall short, again and again; what is short then is met by raising them all, of dangerous
-    nodes by `more` and of safe ones by a little less: between safe areas there are no moves.
+    Violated prices are raised in sweeps. A remaining violation is removed by raising all prices, of dangerous nodes by
+    `more` and of safe ones by a little less: there are no moves between safe areas.
     """
     flow, passed = dual.flow.copy(), 1.0 - nodes.threat
     if not len(nodes.source):
@@ -222,18 +220,18 @@ def _feasible(nodes: Nodes, dual: Dual, toll: NDArray[np.float64]) -> NDArray[np
 
 
 MOST_CELLS = 500
-"""Accessible cells up to which the programme is solved as sharply unasked as asked: about half a second."""
+"""Accessible cells up to which the programme is solved in full by default: about half a second."""
 MOST_DANGEROUS, HASTY = 1000, 12
-"""Dangerous cells up to which it is solved unasked on larger maps, in so many rounds: within 3 seconds."""
+"""Dangerous cells up to which it is solved by default on larger maps, in HASTY rounds: within 3 seconds."""
 
 
 @dataclass(frozen=True)
 class AnyStrategy:
-    """Expected cells visited that no strategy exceeds.
+    """Upper bounds of expected cells visited for every strategy.
 
     Attributes:
-        flow: the programme's bound, certified; None: it was not solved.
-        connected: `own_bounds.ideal_connected`. ideal: `bounds.ideal_team`.
+        flow: certified bound of the programme; None: it was not solved.
+        connected: `bounds.ideal_connected`. ideal: `bounds.ideal_team`.
     """
 
     flow: float | None
@@ -242,15 +240,20 @@ class AnyStrategy:
 
     @property
     def cells(self) -> float:
-        """The least of them."""
+        """The smallest of them."""
         return min(bound for bound in (self.flow, self.connected, self.ideal) if bound is not None)
 
 
 def any_strategy(world: World, starts: ArrayLike, flow: bool | None = None, ways: bool = True) -> AnyStrategy:
     """The bounds of `world` for robots at `starts` `[K, 2]`.
 
-    `flow`: whether the programme is solved, which may take seconds; None: in HASTY rounds at most on maps of more than
-    MOST_CELLS, and not where more than MOST_DANGEROUS of them are dangerous. `ways`: as of `flow_bound`.
+    Args:
+        flow: whether the programme is solved, which may take seconds; None: in at most HASTY rounds on maps of more
+            than MOST_CELLS, and not for more than MOST_DANGEROUS dangerous cells.
+        ways: as in `flow_bound`.
+
+    Raises:
+        WorldError: the map is uncertain or changes.
     """
     world.check_settled("the bound for every strategy")
     checked = check_starts(starts, world.threat, world.source)
@@ -266,10 +269,10 @@ def any_strategy(world: World, starts: ArrayLike, flow: bool | None = None, ways
 
 
 def most_cells(world: World, starts: ArrayLike, flow: bool | None = None) -> float:
-    """The least of the bounds of `world`, also where hazards are there or not; `flow`: as of `any_strategy`.
+    """The smallest bound of `world`, also for latent hazards; `flow`: as in `any_strategy`.
 
-    Of hazards `ideal_team` alone is left, with p = q h: it counts first visits of the team, at each of which a robot is
-    stopped with that chance whatever came before, as cells are drawn apart. Survivors may know more of visits after it.
+    For hazards only `ideal_team` holds, with p = q h: it counts first visits of the team, each of which destroys a
+    robot with that probability for any past, as cells are independent. Later visits may use what survivors learned.
     """
     if not isinstance(world.doubt, Hazard):
         return any_strategy(world, starts, flow).cells
@@ -279,9 +282,9 @@ def most_cells(world: World, starts: ArrayLike, flow: bool | None = None) -> flo
 
 
 def value_bound(world: World, starts: ArrayLike, ways: bool = True) -> float:
-    """Expected value of visited cells that no strategy exceeds: the programme with a cell's value as its weight.
+    """Upper bound of the expected value of visited cells: the programme with a cell's value as its weight.
 
-    `ways`: as of `flow_bound`.
+    `ways`: as in `flow_bound`.
     """
     checked = check_starts(starts, world.threat, world.source)
     if world.value is None:
@@ -291,11 +294,11 @@ def value_bound(world: World, starts: ArrayLike, ways: bool = True) -> float:
     return flow_bound(nodes, ways=ways) * largest * (1.0 + ULP)
 
 
-# Which cells a range leaves within a team's moves, whatever it does: what bounds for every strategy may leave out.
+# The cells within a team's range for any strategy; bounds may exclude the others.
 
 
 def moves_left(plan: Plan) -> list[int] | None:
-    """Of each robot, -1 of one that is lost; None: without end. Of robots that are recharged: with a full battery."""
+    """Moves left of each robot, -1 if it is lost; None: no range. With recharging: moves of a full battery."""
     limit = None if plan.settings is None else plan.settings.range
     if limit is None:
         return None
@@ -306,11 +309,10 @@ def moves_left(plan: Plan) -> list[int] | None:
 
 
 def within(world: World, plan: Plan) -> NDArray[np.bool_]:
-    """bool `[H, W]`: cells that some robot alive could enter with the moves that it has left, were there no danger.
+    """bool `[H, W]`: cells that some robot alive could enter with its remaining moves, without losses.
 
-    A robot that comes home must also be able to go from the cell to one of its bases: the fewest moves there and the
-    fewest moves back are together at most its moves. Of robots that are recharged: from its start or from any base that
-    it can go to.
+    A robot that returns to base must be able to reach one of its bases from the cell: the fewest moves there and back
+    are together at most its moves. With recharging: from its start or from any base that it can reach.
     """
     moves, settings = moves_left(plan), plan.settings
     if moves is None or settings is None:
@@ -328,9 +330,9 @@ def within(world: World, plan: Plan) -> NDArray[np.bool_]:
 def _visitable(
     steps: csr_array, start: int, most: int, bases: tuple[int, ...], *, recharged: bool
 ) -> NDArray[np.bool_]:
-    """bool `[N]`: cells that a robot with so many moves can visit. `bases`: to one of which it comes home, if any."""
+    """bool `[N]`: cells that a robot with `most` moves can visit; `bases`: it must return to one of them, if any."""
     back = _moves(steps, bases) if bases else np.zeros(steps.shape[0])
-    if back[start] > most:  # of a mission under way: it comes home no more, wherever it turns
+    if back[start] > most:  # a resumed mission: no base is in reach
         back[:] = 0
     reached = np.array([start])
     while True:
@@ -361,12 +363,12 @@ def _graph(world: World) -> csr_array:
 
 
 def _moves(steps: csr_array, cells: NDArray[np.int64] | tuple[int, ...]) -> NDArray[np.float64]:
-    """float64 `[N]`: the fewest moves from the nearest of these cells to each, and so of the way back; inf: none."""
+    """float64 `[N]`: fewest moves between each cell and the nearest of `cells`; inf: unreachable."""
     return np.asarray(dijkstra(steps, unweighted=True, indices=np.array(cells), min_only=True))
 
 
 def trimmed(world: World, plan: Plan) -> World:
-    """`world` with obstacles where no robot has the moves to go: a bound for every strategy there is one here too."""
+    """`world` with obstacles outside the team's range; bounds for every strategy there hold for `world` too."""
     if moves_left(plan) is None:
         return world
     return replace(world, threat=np.where(within(world, plan), world.threat, np.float32(np.nan)))

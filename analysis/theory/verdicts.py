@@ -1,4 +1,4 @@
-"""The formulas that `mrac-jax check` judges, by key, and whether each holds on this map, judged against the truth."""
+"""The formulas of `mrac-jax check`, by key, and the verdict on each for a map, by comparison with the truth."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from planner.tally import Tally
 from planner.world.levels import find_levels
 from planner.world.world import World, check_starts
 
-# The formulas that `mrac-jax check` judges, by key: what each is, says, and where; values are made elsewhere.
+# The formulas of `mrac-jax check`, by key: name, meaning and source. Their values are computed elsewhere.
 
 
 class Direction(StrEnum):
-    """What a formula says of its truth."""
+    """The claim of a formula about its truth."""
 
     LOWER = "lower bound"
     UPPER = "upper bound"
@@ -41,11 +41,11 @@ class Formula:
     """One formula in one reading.
 
     Attributes:
-        name, reading: in words; the paper's numbers. plain: what it is about, for who does not know them; readings of
-            one statement have it in common. direction: what it says of the truth.
-        unit: of its value. paper: the paper's, in this reading; else ours.
-        proven: a failure would be a fault of a proof or of this program, not a finding.
-        loops: of which it says something.
+        name, reading: the paper's number, and the reading. plain: its subject in plain words; readings of one statement
+            share it. direction: its claim about the truth.
+        unit: of its value. paper: it is the paper's, in this reading; else ours.
+        proven: a failure would be an error of a proof or of this program, not a finding.
+        loops: the loops that it applies to.
     """
 
     name: str
@@ -64,7 +64,7 @@ class Formula:
 
     @property
     def source(self) -> str:
-        """Where it stands: the paper's number, or "ours"."""
+        """Source: the paper's number, or "ours"."""
         return self.name if self.paper else "ours"
 
 
@@ -80,9 +80,9 @@ def _ours(
 
 FORMULAS = {
     "eq1": Formula("eq. (1)", "a robot's survival", "survival of one robot", EQUAL, "chance", proven=True, loops=OPEN),
-    "eq2_printed": Formula("eq. (2)", "as printed", "chance that a robot is left, as printed", EQUAL, "chance"),
+    "eq2_printed": Formula("eq. (2)", "as printed", "chance that a robot survives, as printed", EQUAL, "chance"),
     "eq2_event": Formula(
-        "eq. (2)", "the event as stated", "chance that a robot is left", EQUAL, "chance", proven=True, loops=OPEN
+        "eq. (2)", "the event as stated", "chance that a robot survives", EQUAL, "chance", proven=True, loops=OPEN
     ),
     "eq4": Formula("eq. (4)", "one robot", "coverage of one robot alone", EQUAL, proven=True, loops=OPEN),
     "eq5_printed": Formula("eq. (5)", "as printed", "lower bound on coverage, one robot", LOWER, loops=OPEN),
@@ -93,7 +93,7 @@ FORMULAS = {
         for kind in ("set", "multiset")
     },
     "eq7_robot": Formula("eq. (7)", "one robot", "upper bound on coverage, one robot", UPPER, proven=True, loops=OPEN),
-    "eq7_team": Formula("eq. (7)", "for the team", "the bound of one robot, held against the team", UPPER),
+    "eq7_team": Formula("eq. (7)", "for the team", "the bound of one robot, applied to the team", UPPER),
     "theorem1": Formula(
         "Theorem 1", "all cells visited", "cells visited if no robot is lost", EQUAL, proven=True, loops=NOMINAL
     ),
@@ -112,41 +112,41 @@ FORMULAS = {
     "theorem4_most": Formula(
         "Theorem 4", "time <= T_1", "most time if no robot is lost", UPPER, "steps", loops=NOMINAL
     ),
-    "ideal_team": _ours("ideal of the team", "", "upper bound on coverage, the team on any map", UPPER),
-    "ideal_connected": _ours("ideal on this map", "", "upper bound on coverage, the team on this map", UPPER),
-    "any_strategy": _ours("any strategy", "certified", "upper bound on coverage, every strategy", UPPER),
+    "ideal_team": _ours("upper bound, any map", "", "upper bound on coverage, the team on any map", UPPER),
+    "ideal_connected": _ours("upper bound, this map", "", "upper bound on coverage, the team on this map", UPPER),
+    "any_strategy": _ours("policy-independent bound", "certified", "upper bound on coverage, every strategy", UPPER),
     "optimum": _ours("optimum", "of every strategy", "coverage of the best strategy", UPPER),
     **{
         f"mended_{form}": _ours(
-            "Theorem 3 mended", reading, "lower bound on coverage, the team, corrected", LOWER, loops=OPEN
+            "Theorem 3 corrected", reading, "lower bound on coverage, the team, corrected", LOWER, loops=OPEN
         )
         for form, reading in (("count", "counts"), ("largest", "chances"), ("spread", "spread"))
     },
     "until_first_loss": _ours("until the first loss", "", "coverage before the first loss", LOWER),
     "eq4_sum": _ours("eq. (4) summed", "", "upper bound on coverage, the robots' own summed", UPPER, loops=OPEN),
 }
-"""Every formula, in the order of tables."""
+"""All formulas, in the order of tables."""
 
 
-# Does a formula hold on this map? Every formula of SPEC section 7 and of our own, judged against the truth, as data.
+# Verdicts: every formula of SPEC section 7 and of our own, compared with the truth, as data.
 #
-# A `Check` is one formula in one meaning and one loop (of one robot, where it is about robots): its value, the truth
-# it was held against, the verdict and the margin. The open loop's truth is exact (`analysis.theory.exact`); the
-# closed loop's is exact or sampled with an interval (`analysis.theory.verdicts`).
+# A `Check` is one formula in one meaning and one loop (and of one robot, if it is about robots): its value, the truth,
+# the verdict and the margin. The open loop's truth is exact (`analysis.theory.exact`); the closed loop's is exact or
+# sampled with an interval.
 
-# What formulas are held against: exact values, or means of rollouts with intervals that hold together.
+# The truths: exact values, or means of rollouts with simultaneous intervals.
 
 FIGURES = 3
-"""Figures of a closed loop that are sampled with an interval: visited, survived, the chance that a robot is left."""
+"""Sampled figures of a closed loop, with an interval each: visited, survived, and P(some robot survives)."""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """A value and the interval it is in.
+    """A value and an interval that contains it.
 
     Attributes:
-        value, low, high: low <= value <= high; equal where it is known.
-        how: "exact" (by a formula), "tree" (all that can happen, or as much as matters: then low < high) or "sampled".
+        value, low, high: low <= value <= high; equal if the value is known.
+        how: "exact" (by a formula), "tree" (all histories, or all but negligible ones: then low < high) or "sampled".
     """
 
     value: float
@@ -162,13 +162,13 @@ class Truth:
 
 @dataclass(frozen=True)
 class ClosedTruth:
-    """The closed loop's figures.
+    """Figures of the closed loop.
 
     Attributes:
-        visited, survived: expected cells. some_left: chance that a robot is alive at the end.
-        as_stated: share of the runs that end as Theorem 2 says, complete or with every robot lost that could reach
-            the rest; None where runs may end before (`_is_cut_off`).
-        rollouts: behind the sampled ones; 0 where all is exact.
+        visited, survived: expected cells. some_left: probability that a robot is alive at the end.
+        as_stated: share of the runs that end as Theorem 2 states, complete or with every robot lost that could reach
+            the rest; None if runs may end earlier (`_is_cut_off`).
+        rollouts: sample size; 0 if all figures are exact.
         alive, time: expected robots alive at the end, and steps; None: not known exactly.
     """
 
@@ -182,30 +182,30 @@ class ClosedTruth:
 
     @property
     def further(self) -> dict[str, Any]:
-        """What else is known, as JSON has it."""
+        """Further exact figures, as a JSON object."""
         return {}
 
 
 def exact_truth(plan: Plan, world: World, exact: OpenLoopExact, first_only: bool = False) -> ClosedTruth | None:
-    """The closed loop where formulas are all of it, because it is the open loop; None elsewhere.
+    """The closed loop's figures by formulas, if it equals the open loop; else None.
 
-    So it is of a plan of ours with one robot (every visit checked, nothing learned), and where no path has danger.
+    The loops are equal for a plan of one robot (every visit checked, nothing learned), and if no path is dangerous.
     """
     alone = len(plan.robots) == 1 and not (first_only or plan.is_foreign or world.is_learned)
     if not (alone and exact.is_known) and not is_certain(world, plan):
         return None
     stated = None if _is_cut_off(plan) else Truth.known(1.0)
     left, alive = Truth.known(exact.some_left), float(exact.survival.sum())
-    # else it waits before it gives up, which is known of one among movers alone
+    # A run that ends early waits first; the wait is known only for one robot among moving threats.
     ends = world.movers is not None or (plan.state is None and plan.outcome == Outcome.COMPLETE.word)
     time = exact.mean_time if ends else None
     return ClosedTruth(Truth.known(exact.visited), Truth.known(exact.survived), left, stated, 0, alive, time)
 
 
 def sampled_truth(plan: Plan, world: World, tally: Tally, doubt: float) -> ClosedTruth:
-    """The closed loop from a tally; each figure's interval misses it with chance <= `doubt`.
+    """The closed loop's figures from a tally; each interval misses with probability <= `doubt`.
 
-    Means: the empirical Bernstein bound; the chance: Clopper & Pearson (`analysis.search.team_size`).
+    Means: the empirical Bernstein bound; the probability: Clopper & Pearson (`analysis.statistics.estimates`).
     """
     n = tally.rollouts
     stated = as_stated(plan, world, tally.outcomes / n, "sampled")
@@ -216,7 +216,7 @@ def sampled_truth(plan: Plan, world: World, tally: Tally, doubt: float) -> Close
 
 
 def doubt_of_each(figures: int) -> float:
-    """The chance of error of one of so many sampled figures: ALPHA shared by Bonferroni."""
+    """Error probability of each of `figures` sampled figures: ALPHA divided by Bonferroni."""
     return ALPHA / max(figures, 1)
 
 
@@ -227,13 +227,14 @@ def _mean(counts: NDArray[np.int64], doubt: float) -> Truth:
 
 
 def as_stated(plan: Plan, world: World, outcomes: NDArray[np.float64], how: str) -> Truth | None:
-    """The share of runs that end as Theorem 2 says; None where they may end before (`_is_cut_off`).
+    """Share of runs that end as Theorem 2 states; None if they may end earlier (`_is_cut_off`).
 
-    A run without progress is as stated only if the robots left cannot reach the rest: never on a map of one part.
+    A run without progress is as stated only if the remaining robots cannot reach the rest, which is impossible on a
+    connected map.
 
     Args:
-        outcomes: the chance of each, by `Outcome`; runs that were not followed to their end, as those that were not
-            sampled, count as stated.
+        outcomes: probability of each `Outcome`. The share counts runs outside these probabilities (unexplored
+            histories) as stated.
     """
     if _is_cut_off(plan):
         return None
@@ -260,7 +261,7 @@ LOOPS = ("nominal", "open", "closed")
 
 
 class Verdict(StrEnum):
-    """What is known of a formula on a map, in the order in which it matters."""
+    """The result of a check, in descending order of importance."""
 
     FAILS = "fails"
     UNDECIDED = "undecided"
@@ -270,13 +271,13 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Check:
-    """One formula held against the truth.
+    """One formula compared with the truth.
 
     Attributes:
-        formula: key in FORMULAS. meaning: "visited", "survived" or "" where neither applies.
+        formula: key in FORMULAS. meaning: "visited", "survived" or "" if neither applies.
         loop: "open", "closed" or "nominal" (the run without losses). robot: index, or None for the team.
-        value: of the formula, in the formula's unit. truth: what it was held against, in the same unit.
-        verdict: see `judge`. margin: by how much it holds, against the truth's point value; below 0: fails by.
+        value: of the formula, in the formula's unit. truth: in the same unit.
+        verdict: see `judge`. margin: distance to the truth's point value; negative if the formula fails.
     """
 
     formula: str
@@ -290,34 +291,33 @@ class Check:
 
     @property
     def about(self) -> Formula:
-        """What the formula is."""
+        """The formula's definition."""
         return FORMULAS[self.formula]
 
     @property
     def key(self) -> str:
-        """Formula, meaning and loop: what checks of different robots and maps have in common."""
+        """Formula, meaning and loop: shared by checks of different robots and maps."""
         return "/".join(part for part in (self.formula, self.meaning, self.loop) if part)
 
     @property
     def named(self) -> str:
-        """The formula with its meaning and loop, to begin a sentence with."""
+        """The formula with its meaning and loop, as the start of a sentence."""
         run = "nominal run" if self.loop == "nominal" else f"{self.loop} loop"
         of = f"{self.meaning}, {run}" if self.meaning else run
         return f"{self.about.title[0].upper()}{self.about.title[1:]} ({self.about.plain}; {of})"
 
     @property
     def tightness(self) -> float | None:
-        """Value over truth: 1 is tight; None where the truth is 0."""
+        """Value over truth: 1 is tight; None if the truth is 0."""
         return self.value / self.truth.value if self.truth.value else None
 
 
 def judge(value: float, truth: Truth, direction: Direction, least: float, most: float) -> Verdict:
-    """The verdict on `value` as a bound on, or as, what lies in `truth.low .. truth.high`.
+    """The verdict on `value` as a claim about a truth in `truth.low .. truth.high`.
 
-    Fails if it is wrong wherever in that interval the truth lies; holds if right everywhere; else undecided. Vacuous:
-    a lower bound that is not above `least`, or an upper bound not below `most`, the values that anything has. An
-    equality with a truth that is only sampled is never shown, so it fails or is undecided. "In every run" fails with
-    the first run that differs.
+    FAILS if the claim is wrong for every truth in the interval, HOLDS if it is right for every one, else UNDECIDED.
+    VACUOUS: a lower bound that is not above `least`, or an upper bound that is not below `most`, the trivial limits. An
+    equality with a sampled truth is never HOLDS. "In every run" fails with the first run that differs.
     """
     slack = ROUNDING * max(1.0, abs(truth.value))
     if direction is Direction.LOWER and value <= least + slack:
@@ -336,7 +336,7 @@ def judge(value: float, truth: Truth, direction: Direction, least: float, most: 
 def make_check(
     formula: str, value: float, truth: Truth, loop: str, most: float, meaning: str = "", robot: int | None = None
 ) -> Check:
-    """A formula's check. `most`: the largest value that anything could have, in the formula's unit (the least is 0)."""
+    """A check of a formula. `most`: the largest possible value, in the formula's unit (the least is 0)."""
     direction = FORMULAS[formula].direction
     above = truth.value - value
     margin = {Direction.LOWER: above, Direction.UPPER: -above}.get(direction, -abs(above))
@@ -345,23 +345,23 @@ def make_check(
 
 
 def worst_of_robots(checks: Iterable[Check]) -> list[Check]:
-    """One check for each key, in order: of those of several robots the one that fails most, or holds most narrowly."""
+    """One check for each key, in order: that of the robot which fails most, or holds most narrowly."""
     groups = groupby(sorted(checks, key=_place), key=_place)
     return [min(group, key=badness) for _, group in groups]
 
 
 def badness(check: Check) -> tuple[int, float]:
-    """The less, the more a check fails, or the more narrowly it holds."""
+    """Sort key: the lower, the more a check fails, or the more narrowly it holds."""
     return list(Verdict).index(check.verdict), check.margin
 
 
 def _place(check: Check) -> tuple[int, int, int]:
-    """Order of tables: formula, meaning, loop."""
+    """Sort key of tables: formula, meaning, loop."""
     return list(FORMULAS).index(check.formula), ("", *MEANINGS).index(check.meaning), LOOPS.index(check.loop)
 
 
 def overall(checks: Iterable[Check]) -> Verdict | None:
-    """The verdict that matters most among checks; None of none. Vacuous only if all are."""
+    """The most important verdict of several checks; None without checks. VACUOUS only if all are."""
     order = list(Verdict)
     return min((check.verdict for check in checks), key=order.index, default=None)
 
@@ -371,13 +371,13 @@ def of_formula(checks: Iterable[Check], formula: str) -> list[Check]:
     return [check for check in checks if check.formula == formula]
 
 
-# --- the open loop: every truth is exact ---
+# The open loop: every truth is exact.
 
 
 def paper_checks(plan: Plan, world: World, exact: OpenLoopExact, bounds: Bounds) -> list[Check]:
-    """Eqs. (1)-(7) and Theorem 3 in all readings against the open loop, and the ideal of the team.
+    """Eqs. (1)-(7) and Theorem 3 in all readings, and the team's upper bound, against the open loop.
 
-    None of the rest of a mission: the formulas are about whole ones.
+    Empty for a plan that resumes a mission: the formulas apply to whole missions.
     """
     if plan.state is not None:
         return []
@@ -391,20 +391,20 @@ def paper_checks(plan: Plan, world: World, exact: OpenLoopExact, bounds: Bounds)
 
 
 def _survival_checks(exact: OpenLoopExact, bounds: Bounds) -> Iterator[Check]:
-    """Eq. (2) against the distribution of the number of robots left."""
+    """Eq. (2) against the distribution of the number of surviving robots."""
     left = Truth.known(exact.some_left)
     yield make_check("eq2_printed", bounds.eq2_printed, left, "open", 1.0)
     yield make_check("eq2_event", bounds.team_survival, left, "open", 1.0)
 
 
 def _alone_checks(plan: Plan, world: World, bounds: Bounds, cells: float) -> Iterator[Check]:
-    """Eqs. (1), (4), (5) and (7), robot by robot, against the closed form of a team of that robot alone.
+    """Eqs. (1), (4), (5) and (7) for each robot, against the closed form of a team of that robot alone.
 
-    Its survival is the product of the chances to pass each entry, by their logarithms.
+    Its survival is the product of the probabilities to survive each entry, computed by logarithms.
     """
     for number, robot in enumerate(plan.robots):
         alone = open_loop_exact(replace(plan, robots=(robot,)), world)
-        with np.errstate(divide="ignore"):  # by logarithms: 1 minus all stops would lose what is below 1e-16
+        with np.errstate(divide="ignore"):  # by logarithms: 1 - P(lost) would lose values below 1e-16
             left = Truth.known(float(np.exp(np.log1p(-robot_chances(robot, world).threat).sum())))
         yield make_check("eq1", bounds.eq1[number], left, "open", 1.0, robot=number)
         for meaning in MEANINGS:
@@ -433,17 +433,18 @@ def _ideal_checks(bounds: Bounds, truth: Truth, loop: str, cells: float) -> Iter
     yield make_check("ideal_team", bounds.ideal_team, truth, loop, cells, "visited")
 
 
-# --- ours, the closed loop, and the nominal run ---
+# Our bounds, the closed loop, and the nominal run.
 
 
 OwnBounds = dict[tuple[str, str], float]
-"""Our own bounds for one plan in cells, by formula and meaning."""
+"""Our bounds for one plan in cells, by formula and meaning."""
 
 
 def own_bounds(plan: Plan, world: World, bounds: Bounds, limit: AnyStrategy) -> OwnBounds:
-    """Our bounds of `theory.own_bounds`, and the sum of eq. (4).
+    """Our bounds of `analysis.theory.bounds`, and the sum of eq. (4).
 
-    `limit`: of every strategy; what of it was not worked out is left out, as is the optimum where it is dear.
+    `limit`: the bounds for every strategy. Bounds that were not computed, and an optimum that is too expensive, are
+    omitted.
     """
     mended, calm = mended_theorem3(plan, world), until_first_loss(plan, world)
     values: OwnBounds = {}
@@ -462,7 +463,7 @@ def own_bounds(plan: Plan, world: World, bounds: Bounds, limit: AnyStrategy) -> 
 
 
 def own_checks(values: OwnBounds, truths: dict[str, Truth], loop: str, cells: float) -> Iterator[Check]:
-    """Our bounds that hold in this loop, against its truths by meaning."""
+    """Checks of our bounds that apply to this loop, against its truths by meaning."""
     for (formula, meaning), value in values.items():
         if loop in FORMULAS[formula].loops:
             yield make_check(formula, value, truths[meaning], loop, cells, meaning)
@@ -471,9 +472,9 @@ def own_checks(values: OwnBounds, truths: dict[str, Truth], loop: str, cells: fl
 def closed_checks(
     plan: Plan, world: World, bounds: Bounds, own: OwnBounds, truth: ClosedTruth, first_only: bool = False
 ) -> list[Check]:
-    """The formulas that say something about the closed loop, against its truth.
+    """Checks of the formulas that apply to the closed loop.
 
-    Those of EVERY_VISIT presume that every visit can stop a robot, so they are left out with `first_only`.
+    Those of EVERY_VISIT assume that every visit can destroy a robot, and are omitted with `first_only`.
     """
     cells = float(world.accessible(plan.starts).sum())
     truths = {"visited": truth.visited, "survived": truth.survived}
@@ -490,10 +491,10 @@ def closed_checks(
 
 
 def nominal_checks(plan: Plan, world: World, alone: Plan | None) -> list[Check]:
-    """Theorems 1 and 4 on the run without losses; `alone`: the plan of the first robot by itself, for T_1.
+    """Theorems 1 and 4 on the run without losses; `alone`: the plan of the first robot alone, for T_1.
 
-    None of a run that was cut off, in which the rest may not be worth the risk or robots have a range, nor of the plan
-    of another planner: the theorems are not about them. Nor is Theorem 4 about robots that come home.
+    Empty for runs that were cut off, with a robot value or a range, and for external plans: the theorems do not apply.
+    Theorem 4 does not apply to robots that return to base.
     """
     settings = plan.settings
     cut_off = plan.outcome in (Outcome.STEP_LIMIT.word, Outcome.DEADLINE.word)
@@ -517,15 +518,15 @@ def nominal_checks(plan: Plan, world: World, alone: Plan | None) -> list[Check]:
 
 
 def proven_failures(checks: Iterable[Check]) -> list[Check]:
-    """Checks that fail though their formula is marked as proven: a fault of the proof or of the program."""
+    """Checks that fail although their formula is proven: an error of the proof or of the program."""
     return [check for check in checks if check.verdict is Verdict.FAILS and check.about.proven]
 
 
-# The largest time that a run can take: how far an interval of mean time has to reach for what was not seen.
+# The longest possible run, for intervals of mean time.
 
 
 def longest_mission(world: World, starts: ArrayLike, settings: Settings, given: int = 0) -> int:
-    """T_max of the closed loop of robots at `starts` `[K, 2]`, in steps; `given`: steps of paths that they follow."""
+    """T_max of the closed loop of robots at `starts` `[K, 2]`, in steps; `given`: steps of external paths."""
     checked = check_starts(starts, world.met, world.source)
     unknown = unknown_of(world, checked, settings.levels)
     levels = find_levels(world, world.accessible(checked), settings.levels) if unknown is None else unknown.dearest
@@ -533,10 +534,10 @@ def longest_mission(world: World, starts: ArrayLike, settings: Settings, given: 
 
 
 def longest_run(world: World, plan: Plan, loop: Literal["open", "closed"], known: int | None = None) -> int:
-    """Steps that a run of this plan takes at most; `known`: T_max, if somebody made the closed loop already.
+    """Most steps of a run of this plan; `known`: T_max, if it was computed already.
 
-    Open loop: to the end of the longest path. One robot of ours that is told the map: its nominal run's, which a loss
-    only cuts short. Else T_max, at which every run is cut off.
+    Open loop: the length of the longest path. One robot with a known map: its nominal run, which a loss only shortens.
+    Otherwise T_max, at which every run is cut off.
     """
     if loop == "open":
         return plan.makespan

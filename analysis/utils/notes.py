@@ -1,4 +1,4 @@
-"""Notes to whoever runs this, on standard error, and what tells how far it has come."""
+"""Notes for the user on standard error, progress callbacks, and hints for unknown arguments."""
 
 from __future__ import annotations
 
@@ -14,37 +14,38 @@ from planner.errors import UsageError, visible, with_new_names
 ProgressCallback = Callable[[int, int, float], None]
 """`progress(done, total, seconds)`, called after every chunk; `total` is 0 when it is not known."""
 Doing = Callable[[str], None]
-"""`doing(what)`, called when something else begins."""
+"""`doing(stage)`, called when a stage begins."""
 
 
 def quiet(*_: object) -> None:
-    """The `Progress` and the `Doing` of who does not want to be told."""
+    """The `Progress` and the `Doing` that show nothing."""
 
 
 def of_things(progress: ProgressCallback, things: str) -> ProgressCallback:
-    """The same, of other things than rollouts; who does not say what is counted hears the numbers alone."""
+    """The same progress, with `things` counted instead of rollouts if it shows a unit."""
     said: Callable[..., None] = progress
     return partial(said, things=things) if getattr(progress, "says_things", False) else progress
 
 
 def say(lines: Sequence[str]) -> None:
-    """Print notes to standard error, one a line, whatever is in them."""
+    """Print notes to standard error, one a line, with control characters escaped."""
     for line in lines:
         print(visible(line, kept="\t"), file=sys.stderr)  # noqa: T201
 
 
-# Which argument of which function, or option of which command, is meant by one that is not known.
+# Hints for an unknown argument or option: the function or command that has it.
 
 MOST_NAMED = 4
-"""Functions or commands that a hint lists."""
+"""Most functions or commands in a hint."""
 ALMOST = 0.9
-"""Likeness from which an own name is meant although another function or command has the given one."""
+"""Similarity from which an own name is suggested although another function or command has the given one."""
 
 
 def elsewhere(given: str, own: Iterable[str], others: Mapping[str, Iterable[str]], kind: str) -> str:
-    """What is probably meant by a name that is none of `own`, as the end of an error's line; "" for no idea.
+    """A hint for a name that is not in `own`, as the end of an error's line; "" if there is none.
 
     Args:
+        given: the unknown name. own: the valid names.
         others: the names of other functions or commands, by function or command.
         kind: of the names: "argument" or "option".
     """
@@ -62,15 +63,15 @@ def elsewhere(given: str, own: Iterable[str], others: Mapping[str, Iterable[str]
     if given in owners:
         close = nearest(given, own, ALMOST)
         return f"did you mean {close!r}? {given} is {of(given)}" if close else f"it is {of(given)}"
-    close = nearest(given, [*owners, *own])  # of equally near ones the own name, which stands last
+    close = nearest(given, [*owners, *own])  # among equally similar names the own one, which is last
     return "" if not close else f"did you mean {close!r}?" if close in own else f"did you mean {close!r}, {of(close)}?"
 
 
 class UnknownArgument(UsageError):
-    """A keyword that a function of the public API does not have. Another process can raise it again.
+    """An unknown keyword of a function of the public API. It can be raised again in another process.
 
     Attributes:
-        name: of the keyword. number: its value if that is a whole number. known: the names that there are.
+        name: of the keyword. number: its value if that is an integer. known: the valid names.
     """
 
     name: str
@@ -79,26 +80,26 @@ class UnknownArgument(UsageError):
 
     @classmethod
     def of(cls, function: Callable[..., Any], name: str, value: object, known: Iterable[str]) -> UnknownArgument:
-        """The error for a call of the function with `name=value`."""
+        """The error for a call of `function` with `name=value`."""
         known = list(known)
         error = cls(f"{function.__name__} has no argument {name!r}", expected=f"one of {', '.join(known)}")
         error.name, error.number, error.known = name, value if isinstance(value, int) else None, known
         return error
 
     def with_fix(self, function: Callable[..., Any], public: Mapping[str, Callable[..., Any]]) -> UsageError:
-        """The same with what is probably meant; `function`: that was called; `public`: those of the API by name."""
+        """The error with a hint; `function`: that was called; `public`: the functions of the API by name."""
         from planner.world.scenario import place_of
 
         own, here = signature(function).parameters, function.__name__
         if "plan" in own and self.name == "robots" and self.number is not None:
-            fix = f"give plan={self.number}: how many robots to plan for"
+            fix = f"give plan={self.number}, the number of robots to plan for"
         elif "plan" in own and "plan" in public and self.name in signature(public["plan"]).parameters:
             fix = f"give it to `plan`, and the plan to `{here}`"
         else:
             others = {name: signature(one).parameters for name, one in public.items() if name != here}
             fix = elsewhere(self.name, self.known, others, "argument")
             said = place_of(self.name) if here == "load" else ""
-            fix = fix if not said or self.name in set().union(*others.values()) else f"say it in a scenario: {said}"
+            fix = fix if not said or self.name in set().union(*others.values()) else f"set it in a scenario: {said}"
         return UsageError(self.problem, expected=self.expected, fix=fix)
 
 
@@ -106,7 +107,7 @@ class UnknownArgument(UsageError):
 def with_hints(
     function: Callable[..., Any], public: Callable[[], Mapping[str, Callable[..., Any]]]
 ) -> Callable[..., Any]:
-    """The function, whose error for a keyword that it does not have says which is meant."""
+    """The function, with hints in its error for an unknown keyword."""
     own = signature(function).parameters
     known = set(own) | set(getattr(function, "settings", ()))
     takes_any = any(one.kind is Parameter.VAR_KEYWORD for one in own.values())

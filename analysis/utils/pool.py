@@ -1,14 +1,14 @@
-"""Processes of this machine that run one function on many tasks, and that anybody may kill at any moment.
+"""A pool of processes that run one function on many tasks, and that may be killed at any moment.
 
-Each worker is one process, one pipe and one thread of this process. The thread hands over one task, waits for its
-answer, and starts another process where the pipe ends without one. Workers share nothing, no lock and no queue: one
-that is killed in the middle of its answer, while it starts, idle or at the end breaks its own pipe and costs the task
-in flight, which the next process runs again. (`concurrent.futures` answers through one pipe behind one lock, and hangs
-for ever on half an answer; of others tried, loky hung likewise and pebble gave up.)
+Each worker is one process, one pipe and one thread of this process. The thread sends one task, waits for its answer,
+and starts another process if the pipe ends without one. Workers share no lock and no queue. A worker that is killed, in
+the middle of its answer, while it starts, idle or at the end, breaks only its own pipe and loses only the task in
+flight, which the next process runs again. (`concurrent.futures` uses one pipe with one lock for all answers, and hangs
+on half an answer; in tests loky hung too, and pebble gave up.)
 
-Interrupts are raised in the main thread, which never starts, feeds or hears a process, so none falls between. Workers
-are a process group each: Ctrl-C of a terminal is the parent's alone. They end with the pool, by SIGKILL whatever they
-are at, and with the parent (`analysis.utils.pool_worker`).
+Interrupts are raised in the main thread, which neither starts processes nor talks to them, so that none is lost in
+between. Each worker is a process group, so that Ctrl-C of a terminal reaches only the parent. Workers end with the
+pool, by SIGKILL, and with the parent (`analysis.utils.pool_worker`).
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from planner.rollouts.open_loop import available_cores
 
 MOST_PROCESSES = 1024
 AHEAD = 3
-"""Tasks taken from the iterable for each worker: the one in flight, and those that wait."""
+"""Tasks taken from the iterable for each worker: one in flight, the others waiting."""
 MOST_DEATHS = 4
-"""How often one task may end its process."""
+"""Most processes that one task may end."""
 MOST_STARTS = 20
-"""How many processes in a row may end before they take a task."""
+"""Most processes in a row that may end before they take a task."""
 LOOK_SECONDS = 2.0
-"""How often workers that somebody stopped are looked for."""
+"""Interval of the search for stopped workers (SIGSTOP)."""
 BEGIN = "from analysis.utils.pool_worker import work; work({})"
 
 Given = TypeVar("Given")
@@ -49,17 +49,17 @@ Made = TypeVar("Made")
 
 
 def wanted_processes(processes: int | None, total: int) -> int:
-    """How many processes to use for `total` tasks (0: not known). Raises UsageError."""
+    """The number of processes for `total` tasks (0: unknown). Raises UsageError."""
     whole(1, MOST_PROCESSES).check("processes", processes, optional=True)
     count = processes or available_cores()
     return min(count, total) if total and processes is None else count
 
 
 class Pool(Generic[Given, Made]):
-    """`count` processes that run `function`; a context manager. `name`: what messages call a task.
+    """`count` processes that run `function`; a context manager. `name`: name of a task in messages.
 
-    `function`, tasks and answers are pickled. Processes are fresh ones (a fork would copy locks), each started with
-    the first task that it gets.
+    `function`, tasks and answers are pickled. Processes are started fresh (a fork would copy locks), each with its
+    first task.
     """
 
     def __init__(self, function: Callable[[Given], Made], count: int, name: Callable[[Given], str] = str) -> None:
@@ -67,7 +67,7 @@ class Pool(Generic[Given, Made]):
         self._answers: SimpleQueue[tuple[int, Made | Exception]] = SimpleQueue()
         pickled = bytes(ForkingPickler.dumps(function))
         self._workers = [_Worker(pickled, self._todo, self._answers, name) for _ in range(count)]
-        self._numbers, self._told, self._looked = numbers(), set[int](), time.monotonic()
+        self._numbers, self._reported, self._looked = numbers(), set[int](), time.monotonic()
 
     def __enter__(self) -> Pool[Given, Made]:
         for worker in self._workers:
@@ -75,7 +75,7 @@ class Pool(Generic[Given, Made]):
         return self
 
     def __exit__(self, *error: object) -> None:
-        """End the processes at once. Another thread does it: an interrupt more cannot keep it from its work."""
+        """End the processes at once, in another thread, which a second interrupt cannot stop."""
         ending = threading.Thread(target=self._end, daemon=True)
         ending.start()
         ending.join()
@@ -88,16 +88,17 @@ class Pool(Generic[Given, Made]):
             worker.join()
 
     def processes(self) -> list[int]:
-        """The ids of the processes of this moment."""
+        """The ids of the current processes."""
         return [pid for worker in self._workers if (pid := worker.pid) is not None]
 
     def run(self, tasks: Iterable[Given]) -> Iterator[tuple[Given, Made]]:
-        """Each task with its answer, in any order; tasks are taken as there is room.
+        """Yield each task with its answer, in any order; tasks are taken as workers become free.
 
-        Raises what the function raises, and UsageError for a task whose process ends again and again.
+        Raises the exception of the function, and UsageError for a task whose process ends repeatedly.
         """
         source, out = iter(tasks), dict[int, Given]()
         while True:
+            # Few tasks are taken ahead, because the iterable may be long.
             while len(out) < AHEAD * len(self._workers):
                 try:
                     task = next(source)
@@ -109,7 +110,7 @@ class Pool(Generic[Given, Made]):
             if not out:
                 return
             number, answer = self._next()
-            if number not in out:  # of an earlier call that its caller left
+            if number not in out:  # from an earlier call that was abandoned
                 continue
             task = out.pop(number)
             if isinstance(answer, Exception):
@@ -120,25 +121,25 @@ class Pool(Generic[Given, Made]):
         while True:
             if time.monotonic() - self._looked > LOOK_SECONDS:
                 self._looked = time.monotonic()
-                self._say_who_is_stopped()
+                self._report_stopped()
             try:
                 return self._answers.get(timeout=LOOK_SECONDS)
             except Empty:
                 continue
 
-    def _say_who_is_stopped(self) -> None:
-        """A stopped process neither answers nor ends: whoever waits is told, once, whom to wake."""
+    def _report_stopped(self) -> None:
+        """Report each stopped process once: it neither answers nor ends."""
         stopped = {pid for worker in self._workers if (pid := worker.stopped()) is not None}
-        for pid in sorted(stopped - self._told):
-            ways = f"`kill -CONT {pid}` wakes it, `kill -KILL {pid}` gives its task to another"
+        for pid in sorted(stopped - self._reported):
+            ways = f"`kill -CONT {pid}` resumes it, `kill -KILL {pid}` moves its task to another"
             say([f"worker process {pid} is stopped, and its task waits: {ways}"])
-        self._told = stopped
+        self._reported = stopped
 
 
 def answers(
     function: Callable[[Given], Made], tasks: Iterable[Given], count: int, name: Callable[[Given], str] = str
 ) -> Iterator[tuple[Given, Made]]:
-    """Each task with its answer, in any order, from `count` processes; 1: in order, from this one. As `Pool.run`."""
+    """Each task with its answer, in any order, from `count` processes; 1: in order, in this process. As `Pool.run`."""
     if count == 1:
         yield from ((task, function(task)) for task in tasks)
         return
@@ -147,7 +148,7 @@ def answers(
 
 
 class _Worker(threading.Thread, Generic[Given, Made]):
-    """One worker's thread, and its process of the moment."""
+    """The thread of one worker, and its current process."""
 
     def __init__(
         self,
@@ -163,7 +164,7 @@ class _Worker(threading.Thread, Generic[Given, Made]):
         self._pipe: Connection | None = None
 
     def run(self) -> None:
-        """Task after task, until there is None."""
+        """Run tasks until there is None."""
         while (asked := self._todo.get()) is not None and not self._ended:
             number, task = asked
             self._busy = True
@@ -172,7 +173,7 @@ class _Worker(threading.Thread, Generic[Given, Made]):
         self._leave()
 
     def _answer(self, task: Given) -> Made | Exception:
-        """What the function makes of a task, or raises. Whoever else ends the process costs nothing but time."""
+        """The value or the exception of the function for a task. A process that is killed is replaced."""
         deaths = starts = 0
         while True:
             try:
@@ -184,7 +185,7 @@ class _Worker(threading.Thread, Generic[Given, Made]):
                 self._leave()
                 if self._ended or starts == MOST_STARTS:
                     fix = "use fewer processes if memory is short"
-                    return UsageError(f"{starts} processes ended before they began to work ({error!r})", fix=fix)
+                    return UsageError(f"{starts} processes ended before they started to work ({error!r})", fix=fix)
                 continue
             except Exception as error:
                 return error
@@ -205,6 +206,7 @@ class _Worker(threading.Thread, Generic[Given, Made]):
         if self._pipe is not None:
             return self._pipe
         ours, theirs = Pipe()
+        # The parent's copy of the child's end is closed, so that the death of the child ends the pipe.
         with theirs, self._lock:
             if self._ended:
                 raise EOFError
@@ -226,13 +228,14 @@ class _Worker(threading.Thread, Generic[Given, Made]):
             self._pipe.close()
             self._pipe = None
         with self._lock:
+            # `end` runs in another thread, and must not kill a process that was already replaced.
             process, self._process = self._process, None
         if process is not None:
             process.kill()
             process.wait()
 
     def end(self) -> None:
-        """Kill the process; the thread finds its pipe ended, and starts no other."""
+        """Kill the process; its thread finds the pipe closed, and starts no other."""
         with self._lock:
             self._ended = True
             if self._process is not None:
@@ -245,11 +248,12 @@ class _Worker(threading.Thread, Generic[Given, Made]):
             return None if self._process is None else self._process.pid
 
     def stopped(self) -> int | None:
-        """The process's id if it has a task and somebody stopped it (SIGSTOP)."""
+        """The process's id if it has a task and is stopped (SIGSTOP)."""
         with self._lock:
             if self._process is None or not self._busy or not hasattr(os, "waitid"):
                 return None
             try:
+                # WNOWAIT leaves the state in place for the next query.
                 found = os.waitid(os.P_PID, self._process.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT)
             except ChildProcessError:
                 return None

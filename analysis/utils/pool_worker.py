@@ -1,4 +1,4 @@
-"""A worker's side of `analysis.utils.pool`: task after task from its pipe, until the parent is gone or kills it."""
+"""The worker process of `analysis.utils.pool`: it runs tasks from its pipe until the parent ends or kills it."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from typing import Any
 
 
 def work(number: int) -> None:
-    """Take the function, say hello, then answer tasks, on the pipe with this file number."""
+    """Receive the function, acknowledge it, then answer tasks, on the pipe with this file descriptor."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, args=(number,), daemon=True).start()
     pipe = Connection(number)
     with suppress(EOFError, OSError):
         function = pipe.recv()
         pipe.send_bytes(b"")
-        gc.set_threshold(50_000)  # each collection looks at all that was imported: 6 % of short tasks
+        gc.set_threshold(50_000)  # a collection scans all imported modules: 6 % of short tasks
         while True:
             pipe.send_bytes(_answer(function, pipe))
 
 
 def _answer(function: Any, pipe: Connection) -> Any:
-    """The pickled answer to the next task: what the function returns, or the exception that it raises."""
+    """The pickled answer to the next task: the value of the function, or its exception."""
     task = pipe.recv_bytes()
     try:
         return ForkingPickler.dumps(function(ForkingPickler.loads(task)))
@@ -41,7 +41,7 @@ def _answer(function: Any, pipe: Connection) -> Any:
 
 
 def _end_with_parent(number: int) -> None:
-    """The other end of the pipe is closed when the parent ends, however it does: so does this process, at once."""
+    """End this process when the parent ends: the other end of the pipe is then closed."""
     watch = select.poll()
     watch.register(number, 0)
     watch.poll()

@@ -1,4 +1,4 @@
-"""What is going on: what is counted, and code that is being compiled; a bar, a changing line, or lines now and then."""
+"""Progress: counts and compilations, as a bar, a changing line, or repeated lines; and interrupts."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ if TYPE_CHECKING:
     from planner.settings import Policy
 
 
-# Knows that code is being compiled, what for, and for how long so far: a minute or more in a machine's first run.
+# Compilations: the code that is being compiled, and the time so far, a minute or more in a machine's first run.
 
 PATIENCE = 1.0
-"""Seconds that one compilation may take without a word about it."""
+"""Seconds after which a compilation is reported."""
 
 
-def compiling_line(what: str, seconds: float) -> str:
+def compiling_line(code: str, seconds: float) -> str:
     """ "compiling per_cell, first run only, 35 s so far"."""
     kept = os.environ.get(NO_CACHE, "") in ("", "0")
     when = "first run only" if kept else "in every run, as compiled code is not kept"
-    return f"compiling {what}, {when}, {duration(seconds)} so far"
+    return f"compiling {code}, {when}, {duration(seconds)} so far"
 
 
 class Announcer:
-    """Is told when a compilation begins and ends; `what`: whose code is compiled next, a policy's name."""
+    """Tracks compilations; `what`: the code that is compiled next, a policy's name."""
 
     def __init__(self) -> None:
         self.what = "the planner"
@@ -52,21 +52,22 @@ class Announcer:
         self._current = self.what
 
     def begins(self) -> None:
-        """A compilation begins, maybe inside another."""
+        """A compilation begins, possibly inside another."""
         with self._lock:
             self._depth += 1
+            # Nested compilations are part of the outermost one.
             if self._depth == 1:
                 self._began, self._current = time.monotonic(), self.what
 
     def ends(self) -> None:
-        """It is done."""
+        """A compilation ends."""
         with self._lock:
             self._depth = max(self._depth - 1, 0)
             if self._depth == 0:
                 self._earlier[self._current] = self._seconds() + self._earlier.get(self._current, 0.0)
 
     def line(self) -> str:
-        """`compiling_line` of a compilation that has gone on for PATIENCE, with earlier ones of this code; or ""."""
+        """`compiling_line` of a compilation longer than PATIENCE, with the time of earlier ones of this code; or ""."""
         with self._lock:
             if self._depth == 0 or (seconds := self._seconds()) < PATIENCE:
                 return ""
@@ -81,7 +82,7 @@ ANNOUNCER = Announcer()
 
 @cache
 def notice_compiling() -> None:
-    """From now on, in this process, ANNOUNCER hears what Numba and JAX compile; code in the cache is not compiled."""
+    """Report all later compilations of Numba and JAX in this process to ANNOUNCER; cached code is not compiled."""
     from numba.core import event
 
     class Listener(event.Listener):
@@ -96,7 +97,7 @@ def notice_compiling() -> None:
 
 
 def compiles_for(plan: Plan, loop: str = "closed") -> None:
-    """What is compiled from now on is the simulator that this plan needs in this loop."""
+    """Later compilations are reported as the simulator of this plan in this loop."""
     ANNOUNCER.what = "the open loop" if loop == "open" or plan.settings is None else _named(plan.settings.policy)
 
 
@@ -106,7 +107,7 @@ def _named(policy: Policy) -> str:
 
 @contextmanager
 def compiling_elsewhere(policies: Iterable[Policy]) -> Iterator[None]:
-    """While this goes on, processes of ours compile the simulators of those policies, if none is in the cache."""
+    """Report that worker processes compile the simulators of those policies, unless they are cached."""
     from planner.simulator.jit import is_cached
     from planner.simulator.rollouts import run_set
 
@@ -121,18 +122,18 @@ def compiling_elsewhere(policies: Iterable[Policy]) -> Iterator[None]:
         ANNOUNCER.ends()
 
 
-# What is going on: a bar on a terminal, a line that changes in a notebook, lines now and then elsewhere.
+# Progress: a bar on a terminal, a changing line in a notebook, repeated lines elsewhere.
 
 FIRST, EVERY = 1.0, 2.0
-"""Seconds after which a run that nobody watches says where it is, first and then again. Together no more than 3: so
-long nothing is said at most, also where one piece of work ends just before its line and the next one begins.
+"""Seconds to the first line of a run without a terminal, and between lines. Their sum, at most 3, is the longest
+silence, also if one stage ends just before its line and the next one begins.
 """
 REFRESH = 0.5
-"""Seconds between two looks at a notebook's line; it is not shown before the second."""
+"""Seconds between updates of a notebook's line; it appears with the second update."""
 
 
 class Watch:
-    """Says what is being done, `doing`, and how far it has come, `(done, total, seconds)`, `total` 0: not known."""
+    """Shows the current stage, `doing`, and its progress, `(done, total, seconds)`; `total` 0: unknown."""
 
     says_things = True
 
@@ -140,16 +141,16 @@ class Watch:
         self._bar, self._usual, self._things = bar, things, things
         self.doing(things)
 
-    def doing(self, what: str) -> None:
-        """Something else begins, of which nothing is done yet and nobody knows how much there is."""
-        self._what, self._things, self._began = what, self._usual, time.monotonic()
+    def doing(self, stage: str) -> None:
+        """A stage begins; its total is unknown."""
+        self._what, self._things, self._began = stage, self._usual, time.monotonic()
         self._done, self._total, self._left = 0, 0, 0.0
         for old in self._bar.task_ids:
             self._bar.remove_task(old)
-        self._task = self._bar.add_task(what, total=None, count="", rate="")
+        self._task = self._bar.add_task(stage, total=None, count="", rate="")
 
     def __call__(self, done: int, total: int, seconds: float, more: str = "", things: str = "") -> None:
-        """So much is done; `more`: words before it. `things`: that is counted now."""
+        """Report progress; `more`: text before it. `things`: the unit that is counted now."""
         self._done, self._total, self._things = done, total, things or self._usual
         took = seconds or time.monotonic() - self._began
         self._left = took * (total - done) / done if done else 0.0
@@ -164,17 +165,17 @@ class Watch:
         return f"{self._done:,}{of} {self._things}"
 
     def line(self) -> str:
-        """Where it stands, and how long it will take where that is known."""
+        """The current stage, its progress, and the remaining time if known."""
         left = f", {duration(self._left)} left" if self._left > 0 else ""
         return f"{self._what} ..." + (f" {self._count()}{left}" if self._done else "")
 
     def line_after(self, seconds: float) -> str:
-        """The same after so many seconds; while something is compiled, that and for how long so far."""
+        """The line after so many seconds; during a compilation, that and its time so far."""
         return with_compiling(self._what) if ANNOUNCER.line() else f"{self.line()} ({duration(seconds)})"
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Nothing is shown on a terminal meanwhile, so that the answer can be printed there."""
+        """Hide the bar meanwhile, so that results can be printed."""
         self._bar.stop()
         try:
             yield
@@ -182,13 +183,13 @@ class Watch:
             self._bar.start()
 
 
-def with_compiling(what: str) -> str:
-    """What is being done, after what is compiled for it: "compiling mrac, first run only, 35 s so far; rollouts"."""
-    return "; ".join(filter(None, (ANNOUNCER.line(), what)))
+def with_compiling(stage: str) -> str:
+    """The stage after the compilation, if any: "compiling mrac, first run only, 35 s so far; rollouts"."""
+    return "; ".join(filter(None, (ANNOUNCER.line(), stage)))
 
 
 class _What(ProgressColumn):
-    """What is being done, looked up at every refresh, as seconds of compiling are counted in it."""
+    """The current stage, evaluated at every refresh, because it shows the seconds of a compilation."""
 
     def render(self, task: Task) -> Text:
         return Text(with_compiling(task.description))
@@ -196,7 +197,7 @@ class _What(ProgressColumn):
 
 @contextmanager
 def show_progress(things: str = "rollouts", *, asked: bool = True) -> Iterator[Watch]:
-    """A `Watch`: a bar on a terminal, a line in a notebook; elsewhere lines now and then, if somebody `asked`."""
+    """A `Watch`: a bar on a terminal, a line in a notebook; elsewhere repeated lines, if `asked`."""
     console = SafeConsole(stderr=True)
     notebook, terminal = console.is_jupyter, console.is_terminal and not console.is_jupyter
     if terminal or notebook or asked:
@@ -208,7 +209,7 @@ def show_progress(things: str = "rollouts", *, asked: bool = True) -> Iterator[W
         TextColumn("{task.fields[rate]}"),
         TimeRemainingColumn(),
     )
-    quiet = Console(quiet=True, force_jupyter=False)  # of a bar that is not shown: nothing of it asks a notebook
+    quiet = Console(quiet=True, force_jupyter=False)  # a hidden bar must not ask a notebook for a display
     with Progress(*columns, console=console if terminal else quiet, transient=True, disable=not terminal) as bar:
         watch = Watch(bar, things)
         if terminal or not (notebook or asked):
@@ -220,17 +221,14 @@ def show_progress(things: str = "rollouts", *, asked: bool = True) -> Iterator[W
 
 @contextmanager
 def lines_now_and_then(line: Callable[[float], str]) -> Iterator[None]:
-    """Says `line(seconds)` on standard error after FIRST seconds, and then every EVERY, for as long as it takes.
-
-    Where there is no line nothing is said.
-    """
+    """Print `line(seconds)` on standard error after FIRST seconds, and then every EVERY seconds; "" is not printed."""
     with _repeated(lambda seconds: say([*filter(None, [line(seconds)])]), FIRST, EVERY):
         yield
 
 
 @contextmanager
 def notebook_line(line: Callable[[float], str]) -> Iterator[None]:
-    """Shows `line(seconds)` below a notebook's cell while it runs, and nothing there afterwards."""
+    """Show `line(seconds)` below a notebook's cell while it runs, and remove it afterwards."""
     display = import_module("IPython.display").display
     shown: list[Any] = []
 
@@ -249,11 +247,12 @@ def notebook_line(line: Callable[[float], str]) -> Iterator[None]:
 
 @contextmanager
 def _repeated(speak: Callable[[float], None], first: float, every: float) -> Iterator[None]:
-    """`speak(seconds so far)` in a thread of its own."""
+    """Call `speak(seconds so far)` repeatedly in a thread."""
     over, clock = threading.Event(), time.monotonic()
 
     def run() -> None:
         at = first
+        # Absolute times, so that delays do not add up.
         while not over.wait(max(clock + at - time.monotonic(), 0.0)):
             speak(at)
             at += every
@@ -267,17 +266,17 @@ def _repeated(speak: Callable[[float], None], first: float, every: float) -> Ite
         speaker.join()
 
 
-# How a function of the door works on an answer: what it shows meanwhile, and what an interruption leaves.
+# The frame of a public function: its progress, and the result of an interruption.
 
 OnInterrupt = Literal["raise", "return"]
 
 
 class Found(Protocol):
-    """What may be interrupted."""
+    """A result that may be partial."""
 
     @property
     def partial(self) -> bool:
-        """It was, and holds what was done until then."""
+        """Whether it was interrupted; it then holds the part that was done."""
         ...
 
 
@@ -285,14 +284,14 @@ Kind = TypeVar("Kind", bound=Found)
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C, or a notebook's stop button, while a function of the door was at work.
+    """Ctrl-C, or a notebook's stop button, during a function of the public API.
 
     Attributes:
-        partial: the answer with what was done until then; None: that was nothing.
+        partial: the result with the part that was done; None: nothing was.
     """
 
     def __init__(self, partial: Found | None) -> None:
-        super().__init__("interrupted" if partial is None else "interrupted: what was done is in `partial`")
+        super().__init__("interrupted" if partial is None else "interrupted: the partial result is in `partial`")
         self.partial = partial
 
 
@@ -302,14 +301,18 @@ def ask(
     on_interrupt: OnInterrupt,
     things: str = "rollouts",
 ) -> Kind:
-    """The answer of `work(progress, doing)`.
+    """The result of `work(progress, doing)`.
 
     Args:
-        progress: None: shown on a terminal and in a notebook; True: on a pipe too, in lines; False: nowhere; or a
-            function to be called with (done, total, seconds) after every chunk, `total` 0 where it is not known.
-        on_interrupt: "raise": an interruption is raised as `Interrupted`; "return": what was done is the answer, with
-            `partial` true (where nothing was, it is raised all the same).
-        things: what is counted.
+        work: the computation.
+        progress: None: shown on a terminal and in a notebook; True: also as lines on a pipe; False: not shown; or a
+            function that is called with (done, total, seconds) after every chunk, `total` 0 if it is unknown.
+        on_interrupt: "raise": an interruption is raised as `Interrupted`; "return": the partial result is returned (if
+            there is none, the interruption is raised).
+        things: unit of the counts.
+
+    Raises:
+        Interrupted: see `on_interrupt`. UsageError: an invalid argument.
     """
     check_word("on_interrupt", on_interrupt, ("raise", "return"))
     if not (progress is None or isinstance(progress, bool) or callable(progress)):
@@ -337,11 +340,10 @@ ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR2") if 
 
 
 def run_loop(main: Coroutine[Any, Any, Result]) -> Result:
-    """`asyncio.run`, where an interrupt cancels `main`, whoever handles interrupts, and KeyboardInterrupt follows.
+    """`asyncio.run`, with interrupts that cancel `main` for any signal handler, followed by KeyboardInterrupt.
 
-    Elsewhere it is raised between any two steps of Python. A loop that has just taken out what it runs next loses it
-    so, and its task, that was to go on by it, is waited for for ever. asyncio sees to that for Python's own handler
-    alone.
+    Without this, KeyboardInterrupt is raised between any two steps of Python. An event loop that has just removed its
+    next callback then loses it, and waits for its task for ever. asyncio prevents this only for Python's own handler.
     """
     came = False
 
@@ -360,5 +362,5 @@ def run_loop(main: Coroutine[Any, Any, Result]) -> Result:
         finally:
             for one, handler in kept.items():
                 signal.signal(one, handler)
-            if came:  # whatever became of the task: it may have ended before it could be cancelled
+            if came:  # the task may have ended before it was cancelled
                 raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""Tables and lines as every answer prints them, on a console and as the text and JSON of a folder."""
+"""Tables and lines of all results, on a console and as the text and JSON of a folder."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ if TYPE_CHECKING:
     from planner.world.world import World
 
 
-# Tables and lines on a console, as every answer prints them: no figure, interval or name is ever cut.
+# Tables and lines on a console: no figure, interval or name is ever cut.
 
 KEPT_WHOLE, SHORT = 16, 10
-"""Names of so many characters, and headers of so many, are not wrapped either."""
+"""Longest name, and longest header, in characters, that are not wrapped."""
 
 
 class FittedTable(Table):
-    """A table that fits: columns of `dropped` go one by one, in this order; what is left stands in blocks of columns.
+    """A table that fits the console: first it drops columns of `dropped`, in order; then it is split into blocks.
 
-    Figures (columns to the right) are never wrapped, words and headers between words alone. A name in `dropped` that
-    several columns have is the last of them.
+    Figures (right-aligned columns) are never wrapped; words and headers are wrapped only between words. A name in
+    `dropped` that several columns share means the last of them.
     """
 
     dropped: tuple[str, ...] = ()
@@ -59,11 +59,11 @@ class FittedTable(Table):
         if gone:
             names = ", ".join(map(self._named, sorted(gone)))
             has = "has it" if len(gone) == 1 else "have them"
-            room = f"left out, as {options.max_width} characters have no room"
-            yield Text(f"{room}: {names}; a wider window, --out and --json {has}")
+            width = f"omitted at a width of {options.max_width} characters"
+            yield Text(f"{width}: {names}; a wider window, --out and --json {has}")
 
     def _named(self, place: int) -> str:
-        """A column's header; of those that share one, with that of the column before, which it goes with."""
+        """A column's header; if several columns share it, with the header of the column before."""
         headers = [str(column.header) for column in self.columns]
         return headers[place] if headers.count(headers[place]) == 1 else f"{headers[place - 1]} {headers[place]}"
 
@@ -74,14 +74,15 @@ class FittedTable(Table):
         whole = max((cell.maximum for cell in cells), default=0)
         needed = whole
         if column.justify != "right":
+            # Words may wrap between words, figures may not.
             needed = max(*(cell.minimum for cell in cells), min(whole, KEPT_WHOLE)) if cells else 0
         named = header.maximum if header.maximum <= SHORT else header.minimum
         return max(needed, named), max(whole, header.maximum)
 
     def _widths(self, places: Sequence[int], sizes: Sequence[tuple[int, int]], room: int) -> list[int]:
-        """Of columns that stand side by side, words before figures in what is over; empty if they do not fit."""
-        beside = self._part(places, [0] * len(places), "")
-        spare = room - sum(map(beside._get_padding_width, range(len(places)))) - beside._extra_width
+        """Widths of columns side by side, with spare width for words first; empty if they do not fit."""
+        part = self._part(places, [0] * len(places), "")
+        spare = room - sum(map(part._get_padding_width, range(len(places)))) - part._extra_width
         spare -= sum(sizes[place][0] for place in places)
         if spare < 0:
             return []
@@ -92,7 +93,7 @@ class FittedTable(Table):
         return widths
 
     def _blocks(self, kept: Sequence[int], sizes: Sequence[tuple[int, int]], room: int) -> Iterator[list[int]]:
-        """The columns that stand side by side; each block begins with the first column, which names the rows."""
+        """The blocks of columns; each begins with the first column, which names the rows."""
         first, *rest = kept
         block = [first]
         for place in rest:
@@ -125,9 +126,9 @@ def make_table(
     """A table without rows.
 
     Args:
-        columns: their names. left: those of words, which stand to the left. dropped: as of `FittedTable`, those that
-            can be missed, the least important first.
-        look: as of rich's Table.
+        columns: their names. title: of the table. left: names of left-aligned columns of words.
+        dropped: names of columns that may be omitted, the least important first, as in `FittedTable`.
+        look: as in rich's Table.
     """
     table = FittedTable(title=title, box=box.SIMPLE_HEAD, title_justify="left", **look)
     table.dropped = tuple(dropped)
@@ -137,16 +138,16 @@ def make_table(
 
 
 def print_lines(console: Console, lines: Sequence[str]) -> None:
-    """Lines as they are, whatever is in them."""
+    """Print lines verbatim, without markup."""
     for line in lines:
         console.print(line, markup=False, highlight=False)
 
 
-# The console of tables, headlines and progress: it shows what text from files holds, and obeys none of it.
+# The console of tables, summaries and progress: it escapes control characters in text from files.
 
 
 class SafeConsole(Console):
-    """A rich console for text that is not ours: control characters are shown as escapes, and nothing is markup.
+    """A rich console for untrusted text: control characters are shown as escapes, and markup is ignored.
 
     A broken pipe is left to the caller.
     """
@@ -159,11 +160,11 @@ class SafeConsole(Console):
         raise BrokenPipeError
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """The text with escapes, so that tables and wrapped lines make room for them."""
+        """The text with escapes, so that tables and wrapped lines have room for them."""
         return super().render_str(visible(text), **options)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Every piece of text on its way out; codes of the console's own (colours, cursor) are no text."""
+        """Escape text on output; the console's own control codes (colours, cursor) are not text."""
         for text, style, control in super().render(renderable, options):
             yield Segment(text if control else visible(text), style, control)
 
@@ -172,7 +173,10 @@ class SafeConsole(Console):
 
 
 def frame_of(table: Mapping[str, Any] | Iterable[Mapping[str, Any]]) -> Any:
-    """Columns by name, or rows of JSON types: `coverage.mean` is a column, an interval two. Raises UsageError."""
+    """A DataFrame from columns by name, or from rows of JSON types (`coverage.mean`; an interval gives two columns).
+
+    Raises UsageError if pandas is not installed.
+    """
     try:
         import pandas
     except ImportError as error:
@@ -190,23 +194,23 @@ def _flat(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
         yield name, value
 
 
-# Numbers with their things, and shares, as the commands say them.
+# Phrases on plans and settings.
 
 
 def policy_words(settings: Settings) -> str:
-    """A policy and its limits: "watchful, risk cap 0.25, order of areas found"."""
+    """A policy and its limits: "watchful, risk cap 0.25, optimised order of areas"."""
     limits = {name: getattr(settings, name) for name in ("risk_cap", "robot_value", "density")}
     own = [
         f"{SETTINGS[name].title} {value:g}" for name, value in limits.items() if value != getattr(type(settings), name)
     ]
-    own += ["order of areas found"] * (settings.priority is not None)
+    own += ["optimised order of areas"] * (settings.priority is not None)
     return ", ".join([settings.rule.name, *own])
 
 
 def plan_words(plan: Plan) -> str:
-    """A plan of ours: "6 areas, shared 10 times; if nobody is lost, the mission visits every accessible cell".
+    """A plan: "6 areas, shared 10 times", then the end of its nominal run (`Plan.ends`).
 
-    With its policy first, unless it is the paper's with nothing of its own.
+    The policy comes first, unless it is the paper's without further settings.
     """
     often = "once" if plan.shares == 1 else f"{plan.shares:,} times"
     shared = f", shared {often}" if plan.shares else ""
@@ -216,7 +220,7 @@ def plan_words(plan: Plan) -> str:
 
 
 def span_words(plan: Plan, pace: Pace) -> str:
-    """ "makespan 1,315 steps, 2,612 moves, 511 quarter turns"; with what turns cost, if somebody says.
+    """ "makespan 1,315 steps, 2,612 moves, 511 quarter turns"; with the time of turns, if their cost is given.
 
     A run that ends before all is covered waits a few steps before it ends.
     """
@@ -236,31 +240,31 @@ def span_words(plan: Plan, pace: Pace) -> str:
 
 
 def bearing_words(plan: Plan, world: World) -> str:
-    """What the map's p means where robots wear, or exposure counts differently on them; "" where p is a chance."""
+    """The meaning of the map's p with a Weibull shape, hazard multipliers or types; "" if p is a probability."""
     bearing, worst = plan.bearing, float(world.threat[world.free].max(initial=0.0))
     if bearing.is_plain:
         return ""
     if bearing.is_even:
-        return f"{bearing.said}: each is stopped by the p of its type; the map's own p is that of no type"
+        return f"{bearing.said}: each robot has the p of its type; the map's own p applies to no type"
     chances = [bearing.first_chance(worst, robot) for robot in range(len(plan.robots))]
     least, most = (chance(one) for one in (min(chances), max(chances)))
     fresh = least if least == most else f"{least} to {most}, by robot"
     return (
-        f"{bearing.said}: p is a dose, of which a visit adds -ln(1 - p); the first visit of the worst cell, "
-        f"p = {chance(worst)}, stops a fresh robot with {fresh}"
+        f"{bearing.said}: p is a dose, to which a visit adds -ln(1 - p); the first visit of the worst cell, "
+        f"p = {chance(worst)}, destroys a fresh robot with {fresh}"
     )
 
 
 def without_level(said: str) -> str:
-    """What `Estimate.said` says, without "(95 %)": for a sentence in which % stands for coverage alone."""
+    """The text of `Estimate.said` without "(95 %)", for a sentence in which % means coverage only."""
     return said.replace(" (95 %)", "").replace(", 95 %)", ")")
 
 
-# Writing a folder: every file whole or not at all, what a console prints as text, JSON as text.
+# Writing a folder: files are written completely or not at all; console output and JSON as text.
 
 
 def as_text(draw: Callable[[Console], None], width: int = 120) -> str:
-    """What `draw(console)` prints, as plain text."""
+    """The output of `draw(console)`, as plain text."""
     console = SafeConsole(width=width, color_system=None, force_terminal=False)
     with console.capture() as captured:
         draw(console)
@@ -268,20 +272,20 @@ def as_text(draw: Callable[[Console], None], width: int = 120) -> str:
 
 
 def csv_text(names: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
-    """Rows below the names of their columns as the text of a CSV file."""
+    """The text of a CSV file with a header row."""
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerows([names, *rows])
     return out.getvalue()
 
 
 def json_text(content: object, *, compact: bool = False) -> str:
-    """A JSON object as the text of a file."""
+    """The text of a JSON file."""
     look: dict[str, Any] = {"separators": (",", ":")} if compact else {"indent": 1}
     return json.dumps(content, allow_nan=False, **look) + "\n"
 
 
 def write_all(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
-    """Write files into `folder` (made if it is not there), each whole or not at all; returns their paths."""
+    """Write files into `folder` (created if necessary), each completely or not at all; returns their paths."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,9 +1,9 @@
-"""What one should do: what of the coverage costs no robot, or next to none, and what the rest costs.
+"""Alternatives to a plan: settings that cover almost as much with almost no losses, or more with the same losses.
 
-A quick front (`analysis.search.pareto`): some tens to a thousand rollouts of each setting, by an eighth of those that
-the answer took at most, on the ids 0, 1, .... What is advised is rolled out beside the plan with common random
-numbers, so that the difference is sharp. Where the plan loses few robots itself, another setting is advised only if
-it covers more for sure, and is not seen to lose more.
+A coarse Pareto front (`analysis.search.pareto`) has some tens to a thousand rollouts of each setting, ids 0, 1, ...,
+within an eighth of the plan's rollouts. The advised setting is then compared with the plan on common random numbers,
+which reduces the variance of the difference. If the plan loses few robots, another setting is advised only if its
+coverage is significantly higher and its losses are not seen to be higher.
 """
 
 from __future__ import annotations
@@ -29,28 +29,28 @@ from planner.plan.plan import Plan
 from planner.policies import RULES
 
 FEWEST = 64
-"""Rollouts of a plan below which nobody asks what would be better."""
+"""Fewest rollouts of the plan for which alternatives are computed."""
 LEAST, MOST, SHARE, CELLS = 8, 1024, 8, 2**19
-"""Rollouts of a setting, at least and at most; one in SHARE of the plan's, and no more than cover so many cells."""
+"""Rollouts of a setting: at least LEAST, at most MOST, one in SHARE of the plan's, at most CELLS covered cells."""
 SECONDS = 4.0
-"""Of all cores' work, after which no further setting is begun; or after the answer's own time if that is longer."""
+"""Time on all cores after which no further setting is started; or the plan's own time if that is longer."""
 CHEAP = 0.1
-"""Share of the team that may be lost on average in what is advised."""
+"""Largest mean share of the team that an advised setting may lose."""
 CLEARLY = 0.01
-"""Coverage by which what costs some robots has to exceed what costs none, or the plan, to be named in its place."""
+"""Difference of coverage that justifies additional losses."""
 USEFUL = 0.5
-"""Share of the plan's coverage that what costs next to no robot has to have: nobody came for less."""
+"""Smallest coverage of a setting with almost no losses, relative to the plan's."""
 
 
 @dataclass(frozen=True)
 class Advice(Output):
-    """A quick front, and which of its points is advised.
+    """A coarse Pareto front, and the advised setting.
 
     Attributes:
-        now: what the plan itself comes to. robots: of the team.
-        points: other settings, by family, the most coverage first. rollouts: of each.
-        advised: one of `points`; None: nothing that was looked at is better.
-        difference: its mean coverage minus the plan's, a fraction of the accessible cells, on common random numbers.
+        now: setting, coverage and losses of the plan. robots: size of the team.
+        points: other settings, by family, in descending order of coverage. rollouts: of each setting.
+        advised: one of `points`; None: no setting is better.
+        difference: mean coverage of `advised` minus the plan's, a fraction of the accessible cells.
     """
 
     now: tuple[Setting, Estimate, Estimate]
@@ -70,16 +70,16 @@ class Advice(Output):
         rollouts = int(np.clip(min(done // SHARE, CELLS // tally.accessible), LEAST, MOST))
         choices = replace(run.choices, rollouts=rollouts, precision=None, deadline=None, engine="numba")
         coverage, losses = tally_mean(tally, "visited", 1.0 / tally.accessible), tally_mean(tally, "lost")
-        if run.closed is not None and run.closed.alive is not None:  # as the headline says them
+        if run.closed is not None and run.closed.alive is not None:  # as in the summary
             coverage, losses = exactly(run.closed.visited.value / tally.accessible), exactly(robots - run.closed.alive)
         now = Setting(settings.rule.name, settings.risk_cap, settings.robot_value, settings.deadline)
         try:
             points = quick_points(
                 run.world, run.plan.starts, settings, choices, losses=losses.mean, kept=run.kept,
                 seconds=max(SECONDS, run.last.seconds),
-                doing=lambda what: run.doing(f"alternatives: {what.partition(',')[0]}"),
+                doing=lambda stage: run.doing(f"alternatives: {stage.partition(',')[0]}"),
             )  # fmt: skip
-        except (PlanError, WorldError):  # costs, or an engine, that have no room for the other policy
+        except (PlanError, WorldError):  # custom costs, or an engine, without the other policy
             return
         found = cls((now, coverage, losses), robots, tuple(p for p in points if p.setting != now), rollouts)
         yield found
@@ -87,13 +87,13 @@ class Advice(Output):
         if best is not None:
             other = replace(
                 run.plan, settings=settings_of(settings, best.setting)
-            )  # the loop asks for starts and areas
-            more, lost = _on_the_same_luck(run, other, rollouts)
+            )  # the closed loop needs only starts and areas
+            more, lost = _differences(run, other, rollouts)
             if found.saves(best) or more.ci95[0] > 0 >= lost.ci95[0]:
                 yield replace(found, advised=best, difference=more)
 
     def better(self) -> Point | None:
-        """The setting to advise, if it stands up to a closer look."""
+        """The setting to advise, subject to the comparison on common random numbers."""
         _, coverage, losses = self.now
         cheap = [point for point in self.points if point.losses.mean <= CHEAP * self.robots]
         free = [point for point in cheap if point.losses.ci95[1] == 0]
@@ -109,14 +109,14 @@ class Advice(Output):
         return most if most is not None and most.coverage.mean > coverage.mean else None
 
     def _bargain(self, cheap: Point) -> Point | None:
-        """The knee between what costs next to no robot and the plan; None: every cell costs about as much."""
+        """The knee of the front between the setting with almost no losses and the plan; None: the front has no knee."""
         _, coverage, losses = self.now
         plan = cheap.figures._replace(coverage=coverage.mean, losses=losses.mean)
         place = knee([point.figures for point in self.points], cheap.figures, plan)
         return None if place is None else self.points[place]
 
     def more(self) -> Point | None:
-        """The setting that covers most, clearly more than the plan, and is not seen to lose more."""
+        """The setting with the highest coverage, significantly above the plan's, and no higher losses."""
         _, coverage, losses = self.now
         above = [
             point
@@ -126,7 +126,7 @@ class Advice(Output):
         return max(above, key=lambda point: point.coverage.mean, default=None)
 
     def saves(self, point: Point) -> bool:
-        """Whether the plan loses a share of the team that this setting does not."""
+        """Whether the plan loses a considerable share of the team, and this setting at most half of that."""
         return self.now[2].mean > CHEAP * self.robots and self.now[2].mean > 2 * point.losses.mean
 
     def as_json(self) -> Json | None:
@@ -145,13 +145,13 @@ class Advice(Output):
             return Blocks(below=below)
         tried = counted(len(self.points), "other setting")
         note = (
-            f"{_as_asked(self.advised.setting)} is the best of {tried} that were tried ({self.rollouts:,} rollouts "
-            "each, common random numbers); `mrac-jax front` tries more."
+            f"{_as_asked(self.advised.setting)} is the best of {tried} ({self.rollouts:,} rollouts "
+            "each, common random numbers); `mrac-jax front` compares more."
         )
         return Blocks(alternatives=list(self._sentences()), notes=[note], below=below)
 
     def chart(self) -> Chart:
-        """The settings that nothing beats as a curve over robots lost, and the plan as a mark."""
+        """The Pareto-optimal settings as a curve of coverage over losses, and the plan as a point."""
         setting, coverage, losses = self.now
         best = efficient([Figures(point.coverage.mean, point.losses.mean, 0.0) for point in self.points])
         kept = [point for point, is_best in zip(self.points, best, strict=True) if is_best]
@@ -160,13 +160,13 @@ class Advice(Output):
         curve = Series.of("per_cell by robot value, and the policies", lost, covered)
         mark = Series.of(f"this plan ({setting})", [losses.mean], [coverage], kind="points", colour=3)
         return Chart(
-            "What coverage costs", (curve, mark), "robots lost on average", "visited, % of the accessible cells",
+            "Coverage and losses", (curve, mark), "robots lost on average", "visited, % of the accessible cells",
             unit="%", x_digits=2, x_whole=False, y_range=(0, 100), fit=True,
             note="Farther up and to the left is better.",
         )  # fmt: skip
 
     def _sentences(self) -> Iterator[str]:
-        """What the alternatives achieve: coverage and losses of each, and what asks for it."""
+        """The alternatives: coverage and losses of each, and the options that select it."""
         if self.advised is None or self.difference is None:
             return
         advised, how, more = self.advised, _as_asked(self.advised.setting), self.more()
@@ -189,19 +189,19 @@ class Advice(Output):
 
 
 def _covered(coverage: Estimate) -> str:
-    """With the decimal that its interval allows, or none."""
+    """Coverage in percent, with at most one decimal."""
     return percent(coverage.mean, min(coverage.digits(100), 1))
 
 
 def _as_asked(setting: Setting) -> str:
-    """What asks for a setting: options on the command line, arguments in Python."""
+    """The options that select a setting: of the command line, or arguments in Python."""
     given = {"policy": setting.policy} | {name: int(v) if v == int(v) else v for name, v in setting.limits.items()}
     words = (argument(name, value) for name, value in given.items())
     return "`" + (" " if COMMAND_LINE.get() else ", ").join(words) + "`"
 
 
-def _on_the_same_luck(run: Run, other: Plan, rollouts: int) -> tuple[Estimate, Estimate]:
-    """The other plan's coverage, a fraction, and robots lost, minus those of the plan."""
+def _differences(run: Run, other: Plan, rollouts: int) -> tuple[Estimate, Estimate]:
+    """Coverage (a fraction) and robots lost of the other plan, minus the plan's, on common random numbers."""
     choices = replace(run.choices, engine="numba", rollouts=rollouts, precision=None, seconds=None, deadline=None)
     mine, theirs = (Side(run.world, plan, choices, None) for plan in (run.plan, other))
     found = compare(mine, theirs, kept=run.kept)
@@ -211,7 +211,7 @@ def _on_the_same_luck(run: Run, other: Plan, rollouts: int) -> tuple[Estimate, E
 
 
 def _has_another(run: Run) -> bool:
-    """Whether it is the closed loop of a plan of ours by a policy that the front knows, for a whole mission."""
+    """Whether this is the closed loop of a whole mission, planned here by a policy that the front supports."""
     settings = run.plan.settings
     return (
         run.choices.loop == "closed"

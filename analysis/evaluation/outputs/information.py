@@ -1,6 +1,7 @@
-"""What the map is worth to robots that are not told it: told, learning by what they see, and blind, on the same luck.
+"""The value of map information: the same team with a known map, online with a sensor, and without a sensor.
 
-Everything but the sensor is alike: the team that is told the map sees all of it at once (SPEC section 15).
+The teams share their random numbers and differ only in the sensor. A known map is a sensor with unlimited range
+(SPEC section 15).
 """
 
 from __future__ import annotations
@@ -39,11 +40,11 @@ if TYPE_CHECKING:  # it takes matplotlib
 
 MOST_RANGES = 20
 LEAST = 1024
-"""Rollouts of each team, if the evaluation had so many, however many teams there are."""
+"""Rollouts of each team, if the evaluation had so many, for any number of teams."""
 
 
 def parse_ranges(text: str | None) -> tuple[float, ...]:
-    """The ranges of "0,1,2,inf"; raises UsageError for what is no such list."""
+    """The ranges of "0,1,2,inf", in cells; raises UsageError for other text."""
     found = numbers_of("sensor_range", text, 'ranges in cells, such as "0,1,2,inf"') if text is not None else ()
     if len(found) > MOST_RANGES:
         raise UsageError(f"{argument('sensor_range')} has {len(found)} ranges", expected=f"{MOST_RANGES} at most")
@@ -55,28 +56,28 @@ def parse_ranges(text: str | None) -> tuple[float, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Team:
-    """What the team comes to if it sees so many cells far; `found`: on common random numbers as the others."""
+    """The figures of the team with a sensor `range`, in cells; `found`: on common random numbers."""
 
     range: float
     found: Measured
 
     @cached_property
     def coverage(self) -> Estimate:
-        """Visited on average, a fraction of the accessible cells."""
+        """Mean visited coverage, a fraction of the accessible cells."""
         return self.found.mean("visited", 1.0 / self.found.largest("visited"))
 
     def ahead(self, other: Team) -> Estimate:
-        """How much more of the cells it visits."""
+        """Mean visited coverage minus the other team's, a fraction of the accessible cells."""
         return self.found.ahead(other.found, "visited", 1.0 / self.found.largest("visited"))
 
     def as_json(self) -> Json:
-        """Its figures."""
+        """The JSON object of the figures."""
         figures = {"coverage": self.coverage, "losses": self.found.mean("lost"), "time": self.found.mean("time")}
         return {"range": _shown(self.range)} | {name: value.to_json() for name, value in figures.items()}
 
 
 def _sees(far: float) -> str:
-    return "blind" if far == 0 else f"see {'everything' if isinf(far) else f'{far:g}'}"
+    return "no sensor" if far == 0 else f"sensor range {'unlimited' if isinf(far) else f'{far:g}'}"
 
 
 def _shown(far: float) -> float | str:
@@ -85,11 +86,11 @@ def _shown(far: float) -> float | str:
 
 @dataclass(frozen=True, eq=False)
 class Knowledge(Output):
-    """Teams with other eyes.
+    """The team with other sensors, and with a known map.
 
     Attributes:
-        sense: the world's own. teams: by range, rising; the last one is told the map.
-        believed: the map as robots think that it is before they see anything.
+        sense: the sensor of the world. teams: by ascending sensor range; the last one has a known map.
+        believed: the prior map.
     """
 
     sense: Sense
@@ -99,7 +100,7 @@ class Knowledge(Output):
     @classmethod
     def check(cls, asked: Sequence[float], world: World) -> None:
         if world.knowledge is None:
-            with_sense(world, 0)  # says why there is nothing to sense
+            with_sense(world, 0)  # raises the more specific error
             fix = "give a `true_map` or a `prior_map`" if world.doubt is None else "give the scenario `sensor_range: 0`"
             raise UsageError(
                 argument("sensor_range", ",".join(map(str, asked))), expected="a map that robots learn", fix=fix
@@ -117,19 +118,19 @@ class Knowledge(Output):
         ):
             return
         blind = {0.0} if known.may_be_blind(world.free) else set()
-        drawn = world.doubt is not None  # then who sees everything still plans before the first look
+        drawn = world.doubt is not None  # even with an unlimited range robots plan before they see
         ranges = sorted({*map(float, asked), *blind, known.sense.range, *([] if drawn else [inf])})
         done = run.last.tally.rollouts
         count = max(min(done, LEAST), done // len(ranges))
         choices = replace(run.choices, rollouts=count, precision=None, seconds=None, deadline=None)
-        if run.closed is None:  # a tree that is too dear for the team itself is for the others too
+        if run.closed is None:  # a tree too large for the team is too large for the others
             choices = replace(choices, exact="never")
         trials = []
         for far in ranges:
             run.doing(f"the same team, {_sees(far)}")
             trials.append(with_eyes(world, run.plan, far, choices))
         if drawn:
-            run.doing("the same team, told which map is true")
+            run.doing("the same team, known map")
             told, kept = told_of_drawn(world, run.plan, choices, count)
             found: Sequence[Measured] = [*(only(trial.sample(0, count), kept) for trial in trials), told]
         else:
@@ -138,7 +139,7 @@ class Knowledge(Output):
 
     @property
     def told(self) -> Team:
-        """Robots that are told the map."""
+        """The team with a known map."""
         return self.teams[-1]
 
     @property
@@ -148,12 +149,12 @@ class Knowledge(Output):
 
     @property
     def blind(self) -> Team | None:
-        """Robots that see nothing; None: they might run into what they do not believe."""
+        """The team without a sensor; None: its robots might drive into unknown obstacles."""
         return self.teams[0] if self.teams[0].range == 0 else None
 
     @property
     def behind(self) -> str:
-        """What the figures rest on."""
+        """The source of the figures."""
         found = self.told.found
         return (
             f"{counted(found.rollouts, 'rollout')} of each, common random numbers"
@@ -177,19 +178,19 @@ class Knowledge(Output):
         }
 
     def blocks(self) -> Blocks:
-        columns = ("robots that are", "visited %", "95 %", "told visit more", "lost", "steps")
-        table = make_table(columns, "What knowing the map is worth")
+        columns = ("team", "visited %", "95 %", "known map: more", "lost", "steps")
+        table = make_table(columns, "Value of map information")
         for team in self.teams:
             behind = "" if team is self.told else self.told.ahead(team).said(100, " points")
             lost, time = team.found.mean("lost"), team.found.mean("time")
             table.add_row(
-                "told the map" if team is self.told else _sees(team.range),
+                "known map" if team is self.told else _sees(team.range),
                 *team.coverage.columns(100.0, 100),
                 behind,
                 lost.columns()[0],
                 f"{time.mean:.1f}",
             )
-        note = f"what knowing the map is worth: {self.behind}"
+        note = f"value of map information: {self.behind}"
         pictures = {} if len(self.teams) < 4 else {"sense.png": lambda: [self.chart()]}
         return Blocks(
             leads=list(self._leads()), tables=[table], notes=[note], pictures=pictures,
@@ -200,29 +201,29 @@ class Knowledge(Output):
     def _leads(self) -> Iterator[str]:
         learning, blind = self.learning, self.blind
         if learning is not self.told:
-            price = more_said(self.told.ahead(learning), "not knowing it costs", "robots that are not told it visit")
-            yield f"Robots that are told the map visit {percent(self.told.coverage.mean)}: {price}."
+            price = more_said(self.told.ahead(learning), "not knowing it costs", "robots that do not know it visit")
+            yield f"With a known map robots visit {percent(self.told.coverage.mean)}: {price}."
         if blind is not None and blind is not learning:
-            worth = more_said(learning.ahead(blind), "to see is worth", "robots that see visit", "less")
-            yield f"Robots that do not look visit {percent(blind.coverage.mean)}: {worth}."
+            worth = more_said(learning.ahead(blind), "the sensor gains", "robots with a sensor visit", "less")
+            yield f"Without a sensor robots visit {percent(blind.coverage.mean)}: {worth}."
         if steps := [
             f"{more.said(100, ' points')} from {near.range:g} to {far.range:g}" for near, far, more in self.steps
         ]:
-            yield f"A better sensor, cells: {', '.join(steps)}."
+            yield f"Gain by sensor range, cells: {', '.join(steps)}."
 
     @property
     def steps(self) -> list[tuple[Team, Team, Estimate]]:
-        """From each sensor to the next better one, where more than one was asked for, and what it covers more."""
+        """Each pair of neighbouring sensor ranges with the gain in coverage, if several ranges were requested."""
         near = [team for team in self.teams if 0 < team.range < inf]
         return [(one, other, other.ahead(one)) for one, other in pairwise(near)]
 
     def chart(self) -> Chart:
-        """Coverage over how far robots see."""
+        """Coverage over the sensor range."""
         near = [team for team in self.teams if not isinf(team.range)]
-        seen = Series.of("by how far robots see", [team.range for team in near], [team.coverage for team in near])
+        seen = Series.of("by sensor range", [team.range for team in near], [team.coverage for team in near])
         return Chart(
-            "What is a better sensor worth?", (seen,), "how far a robot sees, cells", "visited, % of the cells",
-            unit="%", at_y=((100 * self.told.coverage.mean, "told the map"),), x_whole=False, x_digits=1,
+            "Coverage by sensor range", (seen,), "sensor range, cells", "visited, % of the cells",
+            unit="%", at_y=((100 * self.told.coverage.mean, "known map"),), x_whole=False, x_digits=1,
         )  # fmt: skip
 
 
@@ -230,35 +231,36 @@ def _believed(world: World, plan: Plan) -> CellLayer:
     from analysis.page.maps import threat_layer
 
     same = world.knowledge is not None and world.knowledge.may_be_blind(world.free)
-    dark = "They know the obstacles." if same else "Dark: the true obstacles, of which they believe otherwise."
-    about = f"The chance that one visit stops a robot, as robots think before they see anything. {dark}"
+    dark = "The obstacles are known." if same else "Dark: true obstacles, which the prior map does not show."
+    about = f"The probability that one visit destroys a robot, by the prior map. {dark}"
     threat, (rows, cols) = world.threat.copy(), plan.starts.T
-    threat[rows, cols] = np.nan_to_num(threat[rows, cols])  # nobody stands on an obstacle, whatever else is believed
+    threat[rows, cols] = np.nan_to_num(threat[rows, cols])  # a start is free, whatever the prior map shows
     believed = replace(world, threat=threat, knowledge=None, doubt=None)
-    return replace(threat_layer(believed, plan), name="As believed", about=about)
+    return replace(threat_layer(believed, plan), name="Prior map", about=about)
 
 
-# What robots gain by learning about hazards from what happens to them: told, learning and blind, on the same luck.
+# The value of learning about latent hazards: teams with known hazards, with learning, and without it, on common random
+# numbers.
 #
-# Those that are told know which cells have a hazard: each rollout is planned for the ones that it meets. And what the
-# team knows of each cell in the end, on average over runs: the posterior, and the doubt that is left (SPEC section 15).
+# With known hazards each rollout is planned for the hazards that it has. The posterior is the team's probability of a
+# hazard in each cell at the end of a run; its entropy is the remaining uncertainty (SPEC section 15).
 
 MOST, MOST_MAPS, MOST_ENDS = 8192, 128, 256
-"""Rollouts of each team, of robots that are told (each is a plan of its own), and that are looked at when they end."""
+"""Most rollouts of each team, of known hazards (a plan each), and of those whose final posterior is averaged."""
 BANDS = {
-    "prior": "chance that a hazard is in the cell, before anything happens",
-    "posterior": "the same as the team knows it at the end of a run, mean over runs",
-    "entropy": "doubt left at the end of a run, bits, mean over runs",
+    "prior": "probability of a hazard in the cell before the mission",
+    "posterior": "the team's probability of a hazard at the end of a run, mean over runs",
+    "entropy": "uncertainty left at the end of a run, bits, mean over runs",
 }
 
 
 @dataclass(frozen=True, eq=False)
 class Experience(Output):
-    """Three teams, and what is known in the end.
+    """Three teams, and their knowledge at the end.
 
     Attributes:
-        told, learning, blind: what they come to; told ones on the first of the others' rollouts.
-        world: whose robots learn. reach: bool `[H, W]`, cells that robots can reach.
+        told, learning, blind: the figures; `told` (known hazards) on the first of the others' rollouts.
+        world: the world in which robots learn. reach: bool `[H, W]`, cells that robots can reach.
         posterior, entropy: float64 `[H, W]`, mean over `ends` runs; entropy in bits.
     """
 
@@ -286,13 +288,13 @@ class Experience(Output):
         choices = replace(
             run.choices, rollouts=count, precision=None, seconds=None, deadline=None, exact="never", engine="numba"
         )
-        run.doing("the same team, if it learns nothing")
+        run.doing("the same team, without learning")
         unaware = replace(world, doubt=replace(hazard, learn=False, detector=None))
         blind = Trial(unaware, allocated_plan(unaware, plan.starts, plan.require(world)), choices).sample(0, count)
         learning = Trial(world, plan, choices).sample(0, count)
-        run.doing("the same team, told where hazards are")
+        run.doing("the same team, known hazards")
         told = told_of_hazards(world, plan, choices, min(count, MOST_MAPS))
-        run.doing("what is known in the end")
+        run.doing("the posterior at the end")
         loop, ends = compile_closed_loop(plan, world), min(count, MOST_ENDS)
         prior = np.where(world.free, hazard.q, np.nan).astype(np.float64).ravel()
         posterior, entropy = prior.copy(), entropy_of(prior)
@@ -304,23 +306,23 @@ class Experience(Output):
 
     @property
     def prior(self) -> NDArray[np.float64]:
-        """float64 `[H, W]`: the chance that a hazard is there, before anything happens."""
+        """float64 `[H, W]`: probability of a hazard in each cell before the mission."""
         assert isinstance(self.world.doubt, Hazard)
         return self.world.doubt.q.astype(np.float64)
 
     @cached_property
     def price(self) -> Estimate:
-        """How much more of the cells robots visit that are told."""
+        """Gain in coverage of known hazards over learning, a fraction of the cells."""
         return self.told.ahead(self.learning, "visited", self._unit)
 
     @cached_property
     def worth(self) -> Estimate:
-        """How much more of the cells they visit than if they learned nothing."""
+        """Gain in coverage of learning over no learning, a fraction of the cells."""
         return self.learning.ahead(self.blind, "visited", self._unit)
 
     @property
     def bits(self) -> tuple[float, float]:
-        """Doubt a cell in reach, at first and in the end, bits, on average."""
+        """Mean entropy of the reachable cells, bits a cell, before the mission and at its end."""
         return float(entropy_of(self.prior)[self.reach].mean()), float(self.entropy[self.reach].mean())
 
     @property
@@ -350,26 +352,26 @@ class Experience(Output):
         return {name: value.to_json() for name, value in figures.items()}
 
     def blocks(self) -> Blocks:
-        table = make_table(("robots that", "visited %", "95 %", "lost", "steps"), "What learning is worth")
-        for (_, found), said in zip(self._teams(), ("are told", "learn", "learn nothing"), strict=True):
+        table = make_table(("team", "visited %", "95 %", "lost", "steps"), "Value of learning about hazards")
+        for (_, found), said in zip(self._teams(), ("known hazards", "learning", "no learning"), strict=True):
             time = f"{found.mean('time').mean:.1f}"
             table.add_row(
                 said, *found.mean("visited", self._unit).columns(100.0, 100), found.mean("lost").columns()[0], time
             )
         blind, told = (found.mean("visited", self._unit) for found in (self.blind, self.told))
         before, after = self.bits
-        price = more_said(self.price, "not knowing it costs", "robots that are not told it visit")
-        worth = more_said(self.worth, "learning is worth", "robots that learn visit", "less")
+        price = more_said(self.price, "not knowing them costs", "robots that do not know them visit")
+        worth = more_said(self.worth, "learning gains", "robots that learn visit", "less")
         sure = "" if told.half_width == 0 else f" ({told.columns(100.0, 100)[1]}, 95 %)"
         leads = [
-            f"Robots that learn nothing visit {percent(blind.mean)}: {worth}.",
-            f"Robots that are told where hazards are visit {told.columns(100.0, 100)[0]} % of the cells in "
+            f"Without learning robots visit {percent(blind.mean)}: {worth}.",
+            f"With known hazards robots visit {told.columns(100.0, 100)[0]} % of the cells in "
             f"{counted(self.told.rollouts, 'run')}{sure}: {price}.",
         ]
         notes = [
-            f"what learning is worth: {counted(self.learning.rollouts, 'rollout')} of each, common random numbers; "
-            f"told: the first {self.told.rollouts:,}, a plan for each",
-            f"doubt where hazards are: {before:.3f} bits a cell at first, {after:.3f} at the end of a run "
+            f"value of learning: {counted(self.learning.rollouts, 'rollout')} of each, common random numbers; "
+            f"known hazards: the first {self.told.rollouts:,}, a plan for each",
+            f"uncertainty about hazards: {before:.3f} bits a cell before the mission, {after:.3f} at the end of a run "
             f"(mean of {self.ends:,})",
         ]
         files: dict[str, Callable[[], str | bytes]] = {}
@@ -385,13 +387,9 @@ class Experience(Output):
         from analysis.page.maps import CellLayer
         from analysis.pictures import LOSSES
 
-        about = (
-            f"The chance that a hazard is there, as the team knows it at the end of a run; mean of {self.ends:,} runs."
-        )
+        about = f"The team's probability of a hazard in the cell at the end of a run; mean of {self.ends:,} runs."
         values = np.nan_to_num(self.posterior)
-        return CellLayer(
-            "Hazards, as known in the end", about, values, LOSSES, "%", root=True, digits=2, short="Posterior"
-        )
+        return CellLayer("Posterior of hazards", about, values, LOSSES, "%", root=True, digits=2, short="Posterior")
 
     def _entropy(self) -> CellLayer:
         from matplotlib.colors import Normalize
@@ -399,20 +397,20 @@ class Experience(Output):
         from analysis.page.maps import CellLayer
         from analysis.pictures import COVERED
 
-        about = f"Bits; 1: as likely there as not, 0: the team is sure. Mean of {self.ends:,} runs."
+        about = f"Bits: 1 for a probability of one half, 0 for certainty. Mean of {self.ends:,} runs."
         scale = Normalize(0, 1)
         return CellLayer(
-            "Doubt left in the end",
+            "Uncertainty about hazards",
             about,
             np.nan_to_num(self.entropy),
             COVERED,
             norm=scale,
             labels=(0, 0.5, 1),
-            short="Doubt",
+            short="Uncertainty",
         )
 
 
 def entropy_of(chance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of a hazard that is there with this chance, in bits; NaN of none."""
+    """Entropy in bits of a hazard with this probability; NaN for NaN."""
     sides = np.stack([chance, 1 - chance])
     return np.asarray(-(sides * np.log2(np.where(sides > 0, sides, 1))).sum(axis=0))

@@ -1,7 +1,7 @@
-"""Coverage over time of single rollouts: how far runs lie apart by the end of a step, out of those that were run.
+"""Coverage over time: quantiles of single rollouts at each step, coverage by a deadline, and the cost of turns.
 
-The ids 0 .. S - 1 are run once more, one by one, keeping the step at which each cell was first visited; S depends on
-how many rollouts were asked for and on the size of the plan alone, so the same seed gives the same band.
+The rollouts 0 .. S - 1 are run again one by one with the step of each cell's first visit. S depends only on the number
+of rollouts and the size of the plan, so that equal seeds give equal quantiles.
 """
 
 from __future__ import annotations
@@ -32,27 +32,27 @@ from planner.tally import Tally
 from planner.world.world import World
 
 BAND_LEAST, SHARE, BAND_MOST = 100, 10, 4096
-"""Rollouts run again: those asked for, but of more than LEAST only one in SHARE (never below LEAST), at most MOST."""
+"""Rollouts that are run again: one in SHARE of the evaluation's, at least LEAST if it has so many, at most MOST."""
 OPEN_WORK = 2**27
-"""First entries of all robots times rollouts of the open loop: about a second's work beyond LEAST rollouts."""
+"""Entries (first visits of all robots, times rollouts) of the open loop: a second of work beyond LEAST rollouts."""
 STEPS = 301
-"""Steps looked at, evenly from 0 to the end; every step of a shorter run."""
+"""Steps on the time axis, evenly from 0 to the end; every step of a shorter run."""
 AT_ONCE = 2**22
-"""First entries times rollouts that are held in memory at a time."""
+"""Entries times rollouts held in memory at a time."""
 NEVER = np.iinfo(np.int64).max
 Curves = Callable[[int, int], NDArray[np.int32]]
-"""`curves(start, count)`: cells visited by the end of each step looked at, `[count, G]`."""
+"""`curves(start, count)`: cells visited by the end of each step of the axis, int32 `[count, G]`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Band(Output):
-    """Quantiles of visited coverage (cells) over time, over the first of the rollouts, ids from 0; for the pictures.
+    """Quantiles of visited coverage (cells) over time, from the first rollouts; for charts.
 
-    Axis `G` = steps looked at; the last one is where the longest of all rollouts ends.
+    Axis `G`: steps on the time axis. The last step is the end of the longest rollout.
 
     Attributes:
         steps: int64 `[G]`. low, median, high: int64 `[G]`, the 5 %, 50 % and 95 % quantiles by the end of that step.
-        rollouts: how many were sampled at each step. accessible: cells.
+        rollouts: sample size. accessible: number of accessible cells.
     """
 
     steps: NDArray[np.int64]
@@ -65,7 +65,7 @@ class Band(Output):
     @classmethod
     def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
         if run.choices.loop == "open" and run.world.doubt is not None:
-            return  # its robots are not drawn one by one
+            return  # the open loop on uncertain maps has no single rollouts
         run.doing("coverage over time")
         world, plan, choices, tally = run.world, run.plan, run.choices, run.last.tally
         longest = int(np.flatnonzero(tally.time).max(initial=0))
@@ -73,7 +73,7 @@ class Band(Output):
         marks = [longest] if choices.deadline is None else [longest, choices.deadline]
         steps = np.unique(np.append(looked_at, marks))
         count = min(tally.rollouts, max(BAND_LEAST, tally.rollouts // SHARE), BAND_MOST)
-        if run.certain:  # no code is compiled to find one curve twice
+        if run.certain:  # all rollouts are equal: no compilation is needed
             known = np.cumsum(tally.new_visited)[np.minimum(steps, len(tally.new_visited) - 1)] // tally.rollouts
             yield cls(steps, known, known, known, count, tally.accessible)
             return
@@ -100,7 +100,7 @@ class Band(Output):
 def closed_loop_curves(
     world: World, plan: Plan, choices: RolloutChoices, steps: NDArray[np.int64], kept: AllPairs
 ) -> Curves:
-    """Of the closed loop, by the compiled simulator whatever the engine: they agree rollout for rollout."""
+    """Curves of the closed loop from the compiled simulator; all engines give the same rollouts."""
     from planner.rollouts.closed_loop import compile_closed_loop, new_cells
 
     loop = compile_closed_loop(plan, world, first_only=choices.first_only, kept=kept)
@@ -115,18 +115,19 @@ def closed_loop_curves(
 
 
 def open_loop_curves(world: World, plan: Plan, choices: RolloutChoices, steps: NDArray[np.int64]) -> Curves:
-    """Of the open loop, from the step at which each robot is stopped."""
+    """Curves of the open loop, from the step at which each robot is lost."""
     firsts = [np.unique(robot.path, return_index=True) for robot in plan.robots]
     robot = np.concatenate([np.full(len(cells), number) for number, (cells, _) in enumerate(firsts)])
     cell, entered = (np.concatenate([first[part] for first in firsts]) for part in (0, 1))
     order = np.argsort(cell, kind="stable")
     robot, entered = robot[order], entered[order]
     cell_begins = np.flatnonzero(np.diff(cell[order], prepend=-1))
-    seen_at = np.searchsorted(steps, entered).astype(np.int32)  # the first step looked at by whose end it is visited
+    seen_at = np.searchsorted(steps, entered).astype(np.int32)  # first step of the axis by which the cell is visited
 
     def few(start: int, count: int) -> NDArray[np.int32]:
         ids = np.arange(start, start + count, dtype=np.uint32)
         stops = np.stack([_stops(plan, k, world, choices.seed, ids) for k in range(len(plan.robots))], axis=1)
+        # A robot visits a cell if it is lost there, but not afterwards.
         at = np.where(entered <= stops[:, robot], seen_at, len(steps))
         first = np.minimum.reduceat(at, cell_begins, axis=1)
         bins = len(steps) + 1
@@ -141,14 +142,15 @@ def open_loop_curves(world: World, plan: Plan, choices: RolloutChoices, steps: N
 
 
 def _stops(plan: Plan, robot: int, world: World, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
-    """The step at which the robot is stopped in each rollout, `[B]`, NEVER where it is not."""
+    """The step at which the robot is lost in each rollout, int64 `[B]`; NEVER if it is not."""
     steps = plan.robots[robot].entered
-    borne = np.cumsum(world.exposures[0][plan.robots[robot].path[steps]])
-    tolerances = plan.bearing.tolerances(seed, ids, robot + 1)[:, robot]
-    return np.append(steps, NEVER)[np.searchsorted(borne, tolerances, side="left")]
+    # A robot is lost at the first entry where its cumulative hazard reaches its failure threshold.
+    hazard = np.cumsum(world.exposures[0][plan.robots[robot].path[steps]])
+    thresholds = plan.bearing.tolerances(seed, ids, robot + 1)[:, robot]
+    return np.append(steps, NEVER)[np.searchsorted(hazard, thresholds, side="left")]
 
 
-# Coverage by a deadline: the same rollouts, cut off at the end of a step.
+# Coverage by a deadline: the same rollouts, truncated at the end of a step.
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,10 +158,10 @@ class Deadline(Output):
     """Coverage by the end of step `steps`.
 
     Attributes:
-        tally: of the rollouts cut off there. exact: the open loop's expected cells visited and survived by then.
-        certain: every run is the same. pace: how long a step takes, if that is known.
-        losses: expected robots lost by then, where `exact` is of the loop that was evaluated; None: it is not.
-        over: every run has ended by then: nothing is said twice. tree: then, of all that can happen; None: none grown.
+        tally: of the truncated rollouts. exact: the open loop's expected cells visited and survived by then.
+        certain: all runs are equal. pace: length of a step, if known.
+        losses: expected robots lost by then, if `exact` belongs to the evaluated loop; else None.
+        over: every run has ended by then, and the figures equal those of whole runs. tree: the exact tree, or None.
     """
 
     steps: int
@@ -187,7 +189,7 @@ class Deadline(Output):
 
     @cached_property
     def figures(self) -> Figures:
-        """What these rollouts come to; exact where that is known."""
+        """Figures of these rollouts; exact values if they are known."""
         found = Figures.of(self.tally, self.certain)
         if self.tree is not None:
             return found.with_tree(self.tree)
@@ -221,21 +223,21 @@ class Deadline(Output):
         )
 
 
-# How far the robots drive, how often they turn, and how long the mission takes with that: of runs in full.
+# The distance that the robots drive, their turns, and the mission time with turns; from whole runs.
 
 TURNING_LEAST, TURNING_MOST, WORK = 100, 1000, 2_000_000
-"""Rollouts that are run in full, and steps of single robots that are worth their time."""
+"""Rollouts that are run in full: fewest, most; WORK: robot steps that take negligible time."""
 FINE = 1000
-"""Times with turns are told in thousandths of a step."""
+"""Times with turns are integers in units of 1 / FINE step."""
 
 
 @dataclass(frozen=True, eq=False)
 class Turning(Output):
-    """What robots drive in a run of the loop that was evaluated, and in the run without losses.
+    """Moves and turns of the robots, in a run of the evaluated loop and in the run without losses.
 
     Attributes:
-        turn: steps that a quarter turn costs. nominal: of the plan. rollouts: run in full, the first ones.
-        moves, turns: of all robots. time: steps, turns in it. pace: how long a step takes, if that is known.
+        turn: cost of a quarter turn, steps. nominal: of the plan. rollouts: number of rollouts run in full.
+        moves, turns: sums over all robots. time: steps, including turns. pace: length of a step, if known.
     """
 
     turn: float
@@ -253,8 +255,8 @@ class Turning(Output):
     @classmethod
     def measure(cls, asked: float, run: Run) -> Iterator[Self]:
         plan, choices = run.plan, replace(run.choices, deadline=None)
-        worth = int(np.clip(WORK // ((plan.makespan + 1) * len(plan.robots)), TURNING_LEAST, TURNING_MOST))
-        count = min(run.last.tally.rollouts, worth)
+        most = int(np.clip(WORK // ((plan.makespan + 1) * len(plan.robots)), TURNING_LEAST, TURNING_MOST))
+        count = min(run.last.tally.rollouts, most)
         run.doing(f"turns of {counted(count, 'rollout')}")
         traces = make_engine_for(run.world, plan, choices).traces(range(count))
         drives = [drive_of(trace.cells.T) for trace in traces]
@@ -289,8 +291,8 @@ class Turning(Output):
         }
 
     def blocks(self) -> Blocks:
-        """A row for what is driven, one for what it takes."""
-        table = make_table(("", "mean", "95 % interval", "nobody lost"), "What the robots drive")
+        """A table with a row for each quantity, and a note."""
+        table = make_table(("", "mean", "95 % interval", "no losses"), "Moves and turns of the robots")
         nominal, pace, cost = self.nominal, self.pace, counted(float(self.turn), "step")
         for name, found, known in (
             ("moves", self.moves, f"{int(nominal.moves.sum()):,}"),
@@ -303,6 +305,6 @@ class Turning(Output):
             table.add_row("time with turns, minutes", *self.time.columns(pace.minutes), known)
         note = (
             f"A quarter turn costs {cost}; the mean is of the first {counted(self.rollouts, 'rollout')}. "
-            "Turns lengthen the time that is said here, and nothing else."
+            "Turns lengthen only the time in this table."
         )
         return Blocks(tables=[table], notes=[note], settings={"a quarter turn": cost})

@@ -1,10 +1,10 @@
 """Expected value covered, found and left (SPEC section 13).
 
-The open loop's figures are exact. In the closed loop every rollout keeps how often each cell was visited and survived,
-up to MOST_PASSES times: `P(found in c) = sum_n P(n or more) d (1 - d)^(n - 1)`, from integer counts. Of further visits
-the visits and stops of the cell tell how many there are on average, m a run that makes MOST_PASSES. What they add is
-`(1 - d)^MOST_PASSES P(MOST_PASSES or more) E[1 - (1 - d)^J]` with E[J] = m, J whole: most if all runs make as many, m
-rounded down or up. The mean counts them so; the interval's lower end does without them.
+The open loop's figures are exact. In the closed loop each rollout counts visits and survived visits of each cell up to
+MOST_PASSES: `P(found in c) = sum_n P(n or more) d (1 - d)^(n - 1)`, from integer counts. Visits beyond MOST_PASSES are
+known only as a mean, m for each run that makes MOST_PASSES. They add
+`(1 - d)^MOST_PASSES P(MOST_PASSES or more) E[1 - (1 - d)^J]` with E[J] = m and integer J, which is largest if J is m
+rounded down or up. The mean includes this largest value; the lower end of the interval includes none of it.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class ValueFigures:
 
     @property
     def left(self) -> Estimate:
-        """Expected value that is not found: that of all free cells without what is."""
+        """Expected value that is not found: the total of all free cells minus `found`."""
         total, (low, high) = self.worth.total, self.found.ci95
         return Estimate(total - self.found.mean, self.found.se, (total - high, total - low))
 
@@ -79,19 +79,19 @@ class ValueFigures:
 
     @property
     def scale(self) -> float:
-        """What makes chances of values: 1 where they add up to at most 1, else one over their sum."""
+        """Factor that turns values into probabilities: 1 if they add up to at most 1, else one over their sum."""
         return 1.0 if self.worth.total <= 1 + 1e-6 else 1.0 / self.worth.total
 
     @property
     def detection(self) -> float | None:
-        """Probability of detection: found of what was covered; None where nothing was."""
+        """Probability of detection: found divided by covered; None if nothing was covered."""
         return self.found.mean / self.covered.mean if self.covered.mean > 0 else None
 
     @property
     def route_left(self) -> tuple[float, float] | None:
         """Expected value left on the route, and that of its worst cell; None without a route.
 
-        Read as chances, something is left on the route with a chance between the second and the first.
+        If the values are probabilities, the probability that something is left lies between the second and the first.
         """
         if self.world.team.route is None:
             return None
@@ -101,20 +101,20 @@ class ValueFigures:
 
     @property
     def cvar(self) -> float:
-        """Mean coverage of the worst runs, a share TAIL of all: a fraction of the accessible cells."""
+        """Mean coverage of the worst share TAIL of the runs, a fraction of the accessible cells (CVaR)."""
         return tail_mean(self.tally.visited) / self.tally.accessible
 
     def per_robot_lost(self, amount: float) -> float | None:
-        """So much a robot lost; None where none is."""
+        """`amount` divided by the expected losses; None without losses."""
         return amount / self.losses.mean if self.losses.mean > 0 else None
 
     @property
     def square_metres(self) -> float:
-        """Expected ground visited."""
+        """Expected area visited, m2."""
         return float(self.covered_by_cell.sum()) * self.world.cell_size**2
 
     def to_json(self) -> Json:
-        """All of them, but those by cell."""
+        """The JSON object, without the values by cell."""
         shares = {name: getattr(self, name).to_json() for name in ("covered", "found", "left")}
         route = self.route_left
         return {
@@ -148,7 +148,7 @@ class ValueFigures:
 
 
 def amount(value: float) -> str:
-    """A value in as many digits as tell values apart."""
+    """A value with four significant digits, or two decimals from 100 on."""
     return f"{value:,.2f}" if abs(value) >= 100 else f"{value:.4g}"
 
 
@@ -200,7 +200,7 @@ def _common(value: ValueFigures) -> Rows:
 
 
 def _shown(robots: int) -> set[int]:
-    """One, half of them, all."""
+    """One robot, half of the robots, all robots."""
     return {1, -(-robots // 2), robots}
 
 
@@ -214,7 +214,7 @@ def _sentence(value: ValueFigures) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Value(ValueFigures, Output):
-    """The figures, measured beside the rollouts that were done."""
+    """The value figures of an evaluation."""
 
     @classmethod
     def check(cls, asked: bool, world: World) -> None:
@@ -230,7 +230,7 @@ class Value(ValueFigures, Output):
         tree = run.closed if isinstance(run.closed, TreeTruth) else None
         if run.choices.loop == "open" or (run.closed is not None and tree is None and not run.certain):
             if run.world.doubt is not None:
-                problem = "what is found in the open loop of a map in doubt is not known exactly"
+                problem = "the value found in the open loop of an uncertain map is not known exactly"
                 raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")
             visited, found = run.exact.visited_by_cell, open_loop_found(run.plan, run.world)
             covered, known = (exactly(float(worth.value @ chance)) for chance in (visited, found))
@@ -251,6 +251,7 @@ class Value(ValueFigures, Output):
         found, rest = found_chances(counted, worth)
         covered, known = (units.estimate(column, run.certain, tally.robots, run.choices.seed) for column in columns)
         (low, high), total = known.ci95, worth.total
+        # `rest` is an upper limit of the omitted visits: the lower end of the interval excludes it.
         least = low + rest if run.certain else low
         known = Estimate(min(known.mean + rest, total), known.se, (min(least, total), min(high + rest, total)))
         if run.certain:
@@ -269,8 +270,8 @@ class Value(ValueFigures, Output):
 
     def blocks(self) -> Blocks:
         beyond = (
-            f"visits beyond the {MOST_PASSES}th of a cell find at most {self.remainder:.3g}: the mean counts it, "
-            "the interval has room for less"
+            f"visits beyond the {MOST_PASSES}th of a cell find at most {self.remainder:.3g}: the mean includes it, "
+            "the lower end of the interval does not"
         )
         return Blocks(
             leads=[_sentence(self)], tables=[value_table(self)], notes=[beyond] * (self.remainder > 0),
@@ -278,17 +279,17 @@ class Value(ValueFigures, Output):
         )  # fmt: skip
 
     def layer(self) -> CellLayer:
-        """What is left of what each cell is worth."""
+        """The expected value left in each cell."""
         from analysis.page.maps import CellLayer
         from analysis.pictures import LOSSES
 
-        about = f"Value times the chance that it is not found. {self.left.mean:.4g} of {self.worth.total:.4g} in all."
+        about = f"Value times the probability that it is not found. {self.left.mean:.4g} of {self.worth.total:.4g}."
         left = self.left_by_cell.reshape(self.world.shape)
         return CellLayer("Value left", about, left, LOSSES, root=True, blocks="sum", short="Left")
 
 
 def _left(tree: Tree) -> tuple[Estimate, list[Estimate]]:
-    """Robots lost, and the chances that at least 1, ..., K are left, of all that can happen."""
+    """Robots lost, and the probabilities that at least 1, ..., K survive, from an exact tree."""
     robots, (least, most) = len(tree.counts.alive) - 1, tree.alive()
     chances = (stated(tree.chance(int(mass)), 1.0, 1.0) for mass in at_least(tree.counts.alive))
     return stated((robots - most, robots - least), 1.0, robots), list(chances)
@@ -296,10 +297,10 @@ def _left(tree: Tree) -> tuple[Estimate, list[Estimate]]:
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """Values as whole numbers (`analysis.estimators.trial`).
+    """Values as integers (`analysis.estimators.trial`).
 
     Attributes:
-        worth: of the cells. covered: int64 `[N]`. found: int64 `[N, MOST_PASSES + 1]`, by survived visits.
+        worth: value of the cells. covered: int64 `[N]`. found: int64 `[N, MOST_PASSES + 1]`, by survived visits.
     """
 
     worth: Worth
@@ -308,13 +309,13 @@ class Units:
 
     @classmethod
     def of(cls, worth: Worth) -> Self:
-        """What each cell adds to the sums of a rollout."""
+        """The integer contribution of each cell to the sums of a rollout."""
         share = units_of(worth)
         missed = (1.0 - worth.detect[:, None]) ** np.arange(MOST_PASSES + 1)
         return cls(worth, np.rint(share).astype(np.int64), np.rint(share[:, None] * (1.0 - missed)).astype(np.int64))
 
     def roll_out(self, run: Run) -> tuple[Tally, tuple[NDArray[np.int64], NDArray[np.int64]]]:
-        """The ids of the evaluation once more: a tally with survived visits; units covered and found, `[B]` each."""
+        """Rerun the evaluation's ids: a tally with survived visits, and units covered and found, int64 `[B]` each."""
         engine = make_engine_for(run.world, run.plan, run.choices, kept=run.kept).weighing(self.covered, self.found)
         tally, parts, seconds, count = None, [], 0.0, run.last.tally.rollouts
         for start, size, (part, singles), took in run_ranges(engine.run, 0, count, unit=engine.least):
@@ -326,18 +327,19 @@ class Units:
         return tally, (covered, found)
 
     def estimate(self, column: NDArray[np.int64], certain: bool, robots: int, seed: int) -> Estimate:
-        """The mean of units `[B]` of rollouts 0 .. B - 1, as a value; `seed`: of their thresholds."""
-        count, luck = len(column), None
+        """The mean of units `[B]` of rollouts 0 .. B - 1, as a value; `seed`: of their failure thresholds."""
+        count, controls = len(column), None
         if count >= LEAST:
-            luck = CommonLuck.of(robots, luck_classes(seed, 0, count, robots), column, column)
-        return mean_value(column, self.worth.total, len(self.covered), certain, luck)
+            controls = CommonLuck.of(robots, luck_classes(seed, 0, count, robots), column, column)
+        return mean_value(column, self.worth.total, len(self.covered), certain, controls)
 
 
 def found_chances(tally: Tally, worth: Worth) -> tuple[NDArray[np.float64], float]:
-    """P(found in c) of rollouts whose survived visits were counted, float64 `[N]`, and what it may hold too much of."""
+    """P(found in c), float64 `[N]`, from counts of survived visits; and the largest error of the expected value."""
     at_least = tally.passes.reshape(-1, MOST_PASSES) / tally.rollouts
     counts, missed = tally.passes.reshape(-1, MOST_PASSES), 1.0 - worth.detect
     further = np.maximum(tally.visits - tally.stops - counts.sum(axis=1), 0) / np.maximum(counts[:, -1], 1)
+    # E[1 - missed**J] for integer J with mean `further` is largest if J is one of its two neighbours.
     whole = np.floor(further)
     left = 1.0 - missed**whole * (1.0 - (further - whole) * worth.detect)
     rest = missed**MOST_PASSES * at_least[:, -1] * left

@@ -1,8 +1,8 @@
-"""How wrong may the threat map be? The same plan and decisions, robots stopped by threats that are s times the map's.
+"""Sensitivity of a plan: to scaled threats, to differences within the team, and to the uncertainty of the map.
 
-The planner and the robots go on believing the map: paths, areas, levels and costs stay, only the hit checks change. The
-random numbers stay too, so a robot that is stopped at one scale is, as long as it drives the same way, stopped at every
-larger one.
+With scaled threats robots plan and decide by the unscaled map: paths, areas, levels and costs stay, and only the threat
+of each visit changes. The random numbers stay too. A robot that is lost at one scale is lost at every larger scale, as
+long as it follows the same path.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ LARGEST_THREAT = float(np.nextafter(np.float32(1), np.float32(0)))
 
 
 def parse_scales(text: str | None) -> tuple[float, ...]:
-    """The scales of "0.5,1,2"; raises UsageError for what is no such list."""
+    """The scales of "0.5,1,2"; raises UsageError for other text."""
     if text is None:
         return ()
     expected = 'numbers, 0 or above, as "0.5,1,2"'
@@ -56,7 +56,7 @@ def parse_scales(text: str | None) -> tuple[float, ...]:
 
 
 def scaled_threats(world: World, scale: float) -> World:
-    """The world with every threat times `scale` >= 0; raises UsageError if it is none, or makes some p >= 1."""
+    """The world with every threat times `scale` >= 0; raises UsageError for an invalid scale or a threat >= 1."""
     if not (is_real(scale) and scale >= 0):
         raise UsageError(argument("threat_scale", scale), expected="numbers, 0 or above")
     threat = world.threat.astype(np.float64) * scale
@@ -73,13 +73,13 @@ def scaled_threats(world: World, scale: float) -> World:
 
 @dataclass(frozen=True, eq=False)
 class Scaled:
-    """The same plan and luck, under threats that are `scale` times the map's.
+    """The same plan and random numbers, with threats of `scale` times the map's.
 
     Attributes:
-        scale: times the map's p. tally: of as many rollouts as the evaluation's, the same ids.
+        scale: factor of the map's p. tally: of as many rollouts as the evaluation's, the same ids.
         exact: the open loop's closed form under those threats.
-        certain: nothing can happen under them, so that one rollout is every run.
-        known: `exact` is of the loop that was evaluated, so that the table has it in the place of the rollouts.
+        certain: all runs are equal under those threats, so that there is one rollout.
+        known: `exact` belongs to the evaluated loop, and the table shows it instead of the rollouts' means.
     """
 
     scale: float
@@ -90,11 +90,11 @@ class Scaled:
 
     @cached_property
     def figures(self) -> Figures:
-        """What these rollouts come to."""
+        """Figures of these rollouts."""
         return Figures.of(self.tally, self.certain)
 
     def as_json(self) -> Json:
-        """The figures of the whole run, in short."""
+        """The JSON object of the figures."""
         found = self.figures
         return {
             "scale": self.scale,
@@ -121,7 +121,7 @@ class Scaled:
 
 @dataclass(frozen=True, eq=False)
 class ThreatScale(Output):
-    """The plan under other threats, one scale after the other."""
+    """The plan under scaled threats, in the order of the scales."""
 
     scaled: tuple[Scaled, ...] = ()
 
@@ -153,45 +153,45 @@ class ThreatScale(Output):
         return [scaled.as_json() for scaled in self.scaled]
 
     def blocks(self) -> Blocks:
-        columns = ("times", "visited, %", "from .. to", "survived, %", "every cell, %", "robots lost", "time")
-        title = "If every threat is so many times the map's"
+        columns = ("scale", "visited, %", "from .. to", "survived, %", "every cell, %", "robots lost", "time")
+        title = "Results with scaled threats"
         table = make_table(columns, title, dropped=("time", "every cell, %"))
         for scaled in self.scaled:
             table.add_row(*scaled.columns())
         return Blocks(tables=[table])
 
 
-# What it costs or is worth that the robots of a team differ: the same team, were they alike, on the same luck.
+# The cost or gain of differences within a team: the same team with equal robots, on common random numbers.
 
 TEAM_MOST, FEW = 8192, 1024
-"""Rollouts of each team, at most; and where every run of this team is the same."""
+"""Most rollouts of each team; and their number if all runs of the evaluated team are equal."""
 
 
 class Other(NamedTuple):
-    """A team whose robots are alike in something, in words, and what it comes to."""
+    """A team with equal robots in one respect, its description, and its figures."""
 
     said: str
     found: Sampled
 
 
 def alike(plan: Plan) -> dict[str, Settings]:
-    """The settings of the same team, were its robots alike, by what they then are; none where they are."""
+    """Settings of the same team with equal robots, by description; empty for a team of equal robots."""
     settings = plan.settings
     if settings is None or plan.state is not None:
         return {}
     types = settings.types if isinstance(settings.types, tuple) else ()
     several = dict.fromkeys(types) if len(set(types)) > 1 else ()
     found = {f"all of type {name}": replace(settings, types=name) for name in several}
-    if min(settings.paces, default=0) == 1:  # else its steps would be others
+    if min(settings.paces, default=0) == 1:  # otherwise the length of a step would change
         found["all as fast as the fastest"] = replace(settings, steps_per_move=None)
     if settings.radio is not None:
-        found["that hear each other everywhere"] = replace(settings, radio=None)
+        found["with unlimited radio range"] = replace(settings, radio=None)
     return found
 
 
 @dataclass(frozen=True, eq=False)
 class Mates(Output):
-    """The team, and the others that it might be, on the same rollouts."""
+    """The team, and the variants of it with equal robots, on the same rollouts."""
 
     team: Sampled
     others: tuple[Other, ...]
@@ -203,7 +203,7 @@ class Mates(Output):
             return
         count = (
             min(run.last.tally.rollouts, TEAM_MOST) if not run.certain else FEW
-        )  # that nothing happens is of this team
+        )  # only this team's runs are known to be equal
         choices = replace(run.choices, rollouts=count, precision=None, seconds=None, exact="never", engine="numba")
         team, others = Trial(world, plan, choices).sample(0, count), []
         for said, settings in teams.items():
@@ -213,7 +213,7 @@ class Mates(Output):
         yield cls(team, tuple(others))
 
     def ahead(self, other: Other) -> Estimate:
-        """How much more of the cells the team visits than the other one."""
+        """Mean visited coverage of the team minus the other team's, a fraction of the accessible cells."""
         return self.team.ahead(other.found, "visited", self._unit)
 
     @property
@@ -235,9 +235,9 @@ class Mates(Output):
         return {name: value.to_json() for name, value in (figures | {"time": found.mean("time")}).items()}
 
     def blocks(self) -> Blocks:
-        table = make_table(("robots", "visited %", "95 %", "lost", "steps"), "What their differences cost")
+        table = make_table(("robots", "visited %", "95 %", "lost", "steps"), "Effect of the differences between robots")
         leads = []
-        for said, found in (("as they are", self.team), *self.others):
+        for said, found in (("this team", self.team), *self.others):
             visited, time = found.mean("visited", self._unit), f"{found.mean('time').mean:.1f}"
             table.add_row(said, *visited.columns(100.0, 100), found.mean("lost").columns()[0], time)
         for said, found in self.others:
@@ -245,22 +245,22 @@ class Mates(Output):
             apart = less if less.mean > 0 else found.ahead(self.team, "visited", self._unit)
             words = f"{apart.said(100, ' points')} {'less' if less.mean > 0 else 'more'}"
             leads.append(f"Robots {said} would visit {share}: {words}.")
-        notes = [f"robots that differ: {counted(self.team.rollouts, 'rollout')} of each team, common random numbers"]
+        notes = [f"equal robots: {counted(self.team.rollouts, 'rollout')} of each team, common random numbers"]
         return Blocks(leads=leads, tables=[table], notes=notes)
 
 
-# How much of the scatter is doubt about the map, and how much is the luck of a mission on it.
+# Components of the variance of coverage: between the possible maps, and between missions on one map.
 #
-# Closed loop: from the evaluation's own rollouts, which know their map (`analysis.statistics.variance_reduction`);
-# where few of them share one, from maps drawn as rollouts draw theirs, with luck of its own on each. Open loop: mean
-# coverage on each map is exact. Asked for by itself where a world's map is uncertain.
+# Closed loop: from the evaluation's own rollouts, whose maps are known (`analysis.statistics.variance_reduction`). If
+# few rollouts share a map, maps are drawn as rollouts draw them, with independent random numbers on each. Open loop:
+# the mean coverage on each map is exact. Measured automatically for a world with an uncertain map.
 
 ENOUGH = 8
-"""Rollouts a map, on average, that make it known enough to take the rollouts as they are."""
+"""Fewest rollouts a map, on average, for which the evaluation's rollouts are used."""
 LEAST, MAP_DOUBT_MOST = 2**10, 2**20
-"""Of the evaluation's rollouts so many are looked at."""
+"""Fewest and most of the evaluation's rollouts that are used."""
 LEAST_MAPS, MOST_MAPS, EACH = 64, 1024, 16
-"""Maps that are drawn where rollouts hardly share one, and rollouts on each in the closed loop."""
+"""Maps drawn if rollouts hardly share one, fewest and most, and closed-loop rollouts on each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,8 +268,8 @@ class MapDoubt(Output):
     """Mean visited coverage by map, in fractions of the accessible cells.
 
     Attributes:
-        parts: standard deviations of the maps' means and of single runs on one map, and the means, rising.
-        of: maps that may be true; None: more than a file can count. rollouts: behind all of it; 0: means are exact.
+        parts: standard deviations of the maps' means and of single runs on one map, and the means, sorted.
+        of: number of possible maps; None: more than 2**53. rollouts: sample size; 0: the means are exact.
     """
 
     parts: Components
@@ -282,6 +282,7 @@ class MapDoubt(Output):
         if not isinstance(doubt, Uncertain) or run.certain:
             return
         run.doing("the maps one by one")
+        # Up to 2**53 the number of maps is exact as a float of JSON.
         count, numbers = doubt.count, len(np.unique(doubt.number[run.world.threat > 0]))
         of = count**numbers if numbers * np.log2(count) <= 53 else None
         if run.choices.loop == "open":
@@ -295,7 +296,7 @@ class MapDoubt(Output):
 
     @property
     def means(self) -> NDArray[np.float64]:
-        """float64 `[maps]`, rising; they scatter as the true ones do."""
+        """float64 `[maps]`, sorted; their standard deviation is the estimate of the true means' one."""
         return self.parts.means
 
     @property
@@ -305,12 +306,12 @@ class MapDoubt(Output):
 
     @property
     def quantiles(self) -> dict[str, float]:
-        """Of the means over the maps."""
+        """Quantiles of the means over the maps."""
         return {f"{q:g}": float(np.quantile(self.means, q, method="inverted_cdf")) for q in QUANTILES}
 
     @property
     def behind(self) -> str:
-        """Of which maps it speaks, and what it rests on, in words."""
+        """The maps and the sample size, as text."""
         all_of = "" if self.of == len(self.means) else " drawn" + ("" if self.of is None else f" of {self.of:,}")
         return f"{counted(len(self.means), 'map')}{all_of}, " + (
             "exact on each" if self.rollouts == 0 else counted(self.rollouts, "rollout")
@@ -329,27 +330,27 @@ class MapDoubt(Output):
         }
 
     def blocks(self) -> Blocks:
-        columns = ("maps", "mean of means", "5 % of maps", "median", "95 % of maps", "sd of maps", "sd of luck")
-        table = make_table(columns, "Mean coverage by map, % visited: doubt about the map, apart from luck on it")
+        columns = ("maps", "mean of means", "5 % of maps", "median", "95 % of maps", "sd between maps", "sd on one map")
+        table = make_table(columns, "Mean coverage by map, % visited: deviation between maps and between runs on a map")
         means = (in_percent(value, 2) for value in (float(self.means.mean()), *self.quantiles.values()))
         scatter = (f"{100 * value:.2f}" for value in (self.parts.between.mean, self.luck))
         table.add_row(str(len(self.means)), *means, *scatter)
         note = (
-            f"doubt about the map: {self.behind}; standard deviation of maps {_points(self.parts.between)}, "
-            f"of luck {_points(self.parts.within)} points"
+            f"map uncertainty: {self.behind}; standard deviation between maps {_points(self.parts.between)}, "
+            f"between runs on one map {_points(self.parts.within)} points"
         )
         return Blocks(tables=[table], notes=[note], pictures={"doubt.png": lambda: [self.chart()]})
 
     def chart(self) -> Chart:
-        """Mean coverage over the share of the maps on which it is at most that, beside the luck of single runs."""
+        """Mean coverage over the share of maps with at most that coverage, with the deviation of single runs."""
         low, _, high = map(percent, self.quantiles.values())
         share, means = 100 * (np.arange(len(self.means)) + 0.5) / len(self.means), self.means
         lower, upper = (100 * np.clip(means + side * self.luck, 0, 1) for side in (-1, 1))
         return Chart(
-            f"Which map is true: {low} to {high} on average (5 % to 95 % of {self.behind})",
+            f"Mean coverage by true map: {low} to {high} (5 % to 95 % of {self.behind})",
             (Series("mean coverage on a map", share, 100 * means, lower, upper),),
             "share of the maps, %", "visited, % of the accessible cells", unit="%",
-            interval="single runs on it, ± 1 sd of luck",
+            interval="single runs on it, ± 1 sd",
         )  # fmt: skip
 
 
@@ -363,7 +364,7 @@ def _maps(run: Run) -> int:
 
 
 def _exactly(run: Run, doubt: Uncertain) -> Components:
-    """Of the open loop: on all maps, or on some drawn from a spread by level."""
+    """Components of the open loop: over all maps, or over some drawn by level."""
     tally = run.last.tally
     maps = map(doubt.threat_at, range(doubt.count)) if doubt.whole else _drawn(run, doubt, MOST_MAPS)
     means = [open_loop_exact(run.plan, replace(run.world, threat=one, doubt=None)).visited for one in maps]
@@ -371,7 +372,7 @@ def _exactly(run: Run, doubt: Uncertain) -> Components:
 
 
 def _of_rollouts(run: Run, doubt: Uncertain, count: int) -> Components:
-    """Of the evaluation's rollouts, and further ids where those are few, each on the map that it met."""
+    """Components from the evaluation's rollouts, and further ids if those are few, each with its own map."""
     engine = make_engine_for(run.world, run.plan, run.choices, kept=run.kept)
     parts, seconds = [], 0.0
     for start, size, found, took in run_ranges(engine.results, 0, count, unit=engine.least):
@@ -383,7 +384,7 @@ def _of_rollouts(run: Run, doubt: Uncertain, count: int) -> Components:
 
 
 def _of_drawn(run: Run, doubt: Uncertain, maps: int) -> Components:
-    """Of maps drawn as rollouts draw theirs, other luck on each: what they share would hide in their means."""
+    """Components from drawn maps, with other random numbers on each: common ones would correlate their means."""
     engine = make_engine_for(run.world, run.plan, run.choices, kept=run.kept)
     values = np.empty((maps, EACH))
     for place, threat in enumerate(_drawn(run, doubt, maps)):
