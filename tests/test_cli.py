@@ -231,6 +231,12 @@ def test_plan_of_another_planner_runs_open_loop(tmp_path: Path, capsys: pytest.C
     assert found["exact"]["open_loop"]["visited"] == pytest.approx(2.0)
     assert found["bounds"]["theorem3"]["visited"]["interior_set"] is None
     assert found["bounds"]["eq5"] == [{"printed": None, "with_c00": None}]
+    words = (str(tmp_path / "world.npz"), "--plan", str(plan), "--rollouts", "64")
+    assert answer(capsys, *words, "--engine", "jax")["engine"] == "jax"
+    closed = answer(capsys, *words, "--loop", "closed")  # the robot goes on to the cell that its path leaves out
+    assert closed["coverage"]["visited"]["mean"] > 0.9 > closed["exact"]["open_loop"]["visited"] / 3
+    assert run(["evaluate", *words, "--loop", "closed"]) == 0
+    assert "1 robot visits 93.33 % (exact)" in capsys.readouterr().out
 
 
 def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -537,18 +543,6 @@ def test_an_option_that_would_do_nothing_is_refused(
     assert run(["plan", "example:paper", "--out", "p.json"]) == 0
     capsys.readouterr()
     assert said in error_of(capsys, *words.split())
-
-
-def test_a_plan_of_another_planner_takes_open_loop_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    World.create([[0.0, 0.2, 0.0]]).save(tmp_path / "world.npz")
-    plan = tmp_path / "other.json"
-    plan.write_text('{"paths": [[[0, 0], [0, 1]]]}')
-    words = (str(tmp_path / "world.npz"), "--plan", str(plan), "--rollouts", "64")
-    assert answer(capsys, *words, "--engine", "jax")["engine"] == "jax"
-    closed = answer(capsys, *words, "--loop", "closed")  # the robot goes on to the cell that its path leaves out
-    assert closed["coverage"]["visited"]["mean"] > 0.9 > closed["exact"]["open_loop"]["visited"] / 3
-    assert run(["evaluate", *words, "--loop", "closed"]) == 0
-    assert "1 robot visits 93.33 % (exact)" in capsys.readouterr().out
 
 
 def test_a_reader_that_goes_away_is_no_error_and_numba_imports_no_jax() -> None:

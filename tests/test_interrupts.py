@@ -164,12 +164,13 @@ def two_below(parent: int) -> list[int]:
     return children
 
 
-def interrupt_sweeps(folder: Path, times: int, span: float) -> None:
-    """Ctrl-C of `sweep --processes 2` at moments up to `span` seconds after its processes are begun, on one store."""
-    (folder / "a.yaml").write_text(SPEC)
+@pytest.mark.parametrize(("times", "span"), [(1, 1.0), pytest.param(100, 5.0, marks=pytest.mark.slow)])
+def test_ctrl_c_ends_a_sweep_which_opens_no_socket(tmp_path: Path, times: int, span: float) -> None:
+    """At moments up to `span` seconds after the processes of `sweep --processes 2` are begun, on one store."""
+    (tmp_path / "a.yaml").write_text(SPEC)
     for number in range(times):
         running = subprocess.Popen(
-            WORDS, cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+            WORDS, cwd=tmp_path, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
         )
         assert not listening([running.pid, *(children := two_below(running.pid))])
         time.sleep((number + 0.5) / times * span)
@@ -180,7 +181,7 @@ def interrupt_sweeps(folder: Path, times: int, span: float) -> None:
         assert b"Traceback" not in notes and b"ignored" not in notes
         assert time.monotonic() - clock < 10  # measured: 0.4 s on a quiet machine, most of it to print what was done
         assert none_left(children, 5)
-    with Store.open(folder / "a.store") as store:
+    with Store.open(tmp_path / "a.store") as store:
         assert all(store.tally(run.key) is not None for run in store.runs())
 
 
@@ -198,10 +199,6 @@ def test_sigterm_is_an_interrupt_while_metis_splits(after: float) -> None:
         splitting.kill()
 
 
-def test_ctrl_c_ends_a_sweep_which_opens_no_socket(tmp_path: Path) -> None:
-    interrupt_sweeps(tmp_path, 1, 1.0)
-
-
 def test_a_test_run_that_is_killed_leaves_no_sweep(tmp_path: Path) -> None:
     (tmp_path / "a.yaml").write_text(SPEC)
     words = [sys.executable, "-c", BETWEEN, *WORDS]
@@ -212,11 +209,6 @@ def test_a_test_run_that_is_killed_leaves_no_sweep(tmp_path: Path) -> None:
     between.kill()
     between.communicate()
     assert none_left(processes, 10)
-
-
-@pytest.mark.slow
-def test_a_hundred_ctrl_c_of_a_sweep(tmp_path: Path) -> None:
-    interrupt_sweeps(tmp_path, 100, 5.0)
 
 
 # How the process of a command ends: its status, what it prints, and which signals end it.

@@ -375,7 +375,8 @@ def compare(number: int) -> Counter[int | str]:
     return found
 
 
-def check_drawn(first: int, count: int) -> None:
+@pytest.mark.parametrize(("first", "count"), [(0, WORLDS), pytest.param(WORLDS, MANY, marks=pytest.mark.slow)])
+def test_the_compiled_closed_loop_is_the_oracle_s_event_for_event(first: int, count: int) -> None:
     found = sum(map(compare, range(first, first + count)), Counter[int | str]())
     kinds = (
         EventKind.COMPLETED, EventKind.HIT, EventKind.REALLOCATED, EventKind.ALLOCATED, EventKind.SHARED,
@@ -383,12 +384,3 @@ def check_drawn(first: int, count: int) -> None:
     )  # fmt: skip
     assert min(found[kind] for kind in kinds) >= count // 20
     assert all(found[word] for word in ("complete", "all_robots_lost", "no_progress", "step_limit"))
-
-
-def test_the_compiled_closed_loop_is_the_oracle_s_event_for_event() -> None:
-    check_drawn(0, WORLDS)
-
-
-@pytest.mark.slow
-def test_so_it_is_on_thousands_more() -> None:
-    check_drawn(WORLDS, MANY)

@@ -124,20 +124,11 @@ def test_no_point_depends_on_how_it_was_run(tmp_path: Path, processes: int) -> N
     assert one.points[Setting("contiguous", 8, 0.0)].estimate("closed", "visited").mean == 1.0
 
 
+FEW = ["--maps", "2", "--rollouts", "4", "--processes", "1"]
+
+
 def test_the_command_prints_saves_and_is_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = [
-        "check",
-        "--paper",
-        "fig6",
-        "--maps",
-        "2",
-        "--rollouts",
-        "4",
-        "--processes",
-        "1",
-        "--store",
-        str(tmp_path / "s.db"),
-    ]
+    words = ["check", "--paper", "fig6", *FEW, "--store", str(tmp_path / "s.db")]
     found = answer_of(capsys, *words, "--out", str(tmp_path / "out"))
     assert [point["robots"] for point in found["figures"]["fig6"]] == [1, 2, 4, 8, 10, 12, 16, 20]
     assert {one["figure"] for one in found["statements"]} == {"Fig. 6"}
@@ -149,24 +140,7 @@ def test_the_command_prints_saves_and_is_json(tmp_path: Path, capsys: pytest.Cap
     assert run(words) == 0
     out = " ".join(capsys.readouterr().out.split())
     assert "statements of the paper" in out and "256 from the store" in out
-    assert (
-        run(
-            [
-                "check",
-                "--paper",
-                "fig4",
-                "--maps",
-                "1",
-                "--rollouts",
-                "4",
-                "--processes",
-                "1",
-                "--out",
-                str(tmp_path / "four"),
-            ]
-        )
-        == 0
-    )
+    assert run(["check", "--paper", "fig4", *FEW, "--out", str(tmp_path / "four")]) == 0
     assert (tmp_path / "four" / "fig4.png").exists()
 
 

@@ -645,27 +645,16 @@ def figures_of(told: dict, ended: bool) -> tuple[dict, dict, float]:
     return (where if ended else told["coverage"])["visited"], where["losses"]
 
 
+TOLD = ["--rollouts", "1000", "--seed", "5", "--robot-values", "12", "--risk-caps", "", "--exact", "never"]
+
+
 @pytest.mark.parametrize("goal", [["--target", "0.75", "--deadline", "40"], ["--losses", "0.9"]])
 def test_the_plan_of_the_pick_keeps_what_was_promised(
     capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path, goal: list[str]
 ) -> None:
     """The same ids, seed and map: `evaluate --plan` gives the figures of `front`, wherever the mission ends."""
     saved = tmp_path / "plan.json"
-    told = [
-        "--rollouts",
-        "1000",
-        "--seed",
-        "5",
-        "--levels",
-        "8",
-        "--robot-values",
-        "12",
-        "--risk-caps",
-        "",
-        "--exact",
-        "never",
-    ]
-    front = answer_of(capsys, "front", world_file, *told, *goal, "--plan-out", str(saved))
+    front = answer_of(capsys, "front", world_file, *TOLD, "--levels", "8", *goal, "--plan-out", str(saved))
     point = front["points"][front["pick"]]
     words = ["evaluate", world_file, "--plan", str(saved), "--rollouts", "1000", "--seed", "5", "--exact", "never"]
     same = answer_of(capsys, *words)
@@ -683,8 +672,7 @@ def test_the_command_of_the_pick_rolls_out_luck_that_had_no_part_in_the_choice(
     capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path
 ) -> None:
     saved = tmp_path / "plan.json"
-    told = ["front", world_file, "--rollouts", "1000", "--seed", "5", "--robot-values", "12", "--risk-caps", "",
-            "--exact", "never", "--losses", "0.9", "--deadline", "40"]  # fmt: skip
+    told = ["front", world_file, *TOLD, "--losses", "0.9", "--deadline", "40"]
     for more, ended in (([], True), (["--plan-out", str(saved)], False)):
         front = answer_of(capsys, *told, *more)
         program, *words = shlex.split(front["command"])

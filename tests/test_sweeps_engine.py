@@ -253,14 +253,15 @@ def _environment() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
 
 
-def kill_at_random_moments(folder: Path, numbers: range, seed: int) -> None:
+@pytest.mark.parametrize(("numbers", "seed"), [(range(1, 2), 1), pytest.param(range(20), 2, marks=pytest.mark.slow)])
+def test_kill_9_at_random_moments(tmp_path: Path, numbers: range, seed: int) -> None:
     """kill -9 the client, or a worker and then the client; after each, and at the end, compare with the whole."""
     random, maps = np.random.default_rng(seed), 40 + 3 * len(numbers)  # processes get a dozen jobs at a time
     values = {"maps": maps, "rollouts": 30, "processes": 2}
     right = swept(jobs_of(maps=maps, rollouts=30), processes=1)
-    path, before, middle = folder / "a.db", 0, 0
+    path, before, middle = tmp_path / "a.db", 0, 0
     for number in numbers:
-        running = begin(path, folder / "sweep.py", **values)
+        running = begin(path, tmp_path / "sweep.py", **values)
         assert running.stdout is not None
         if number % 5 == 4:  # while it begins: imports, opening the store, starting processes
             sleep(random.uniform(0.0, 1.5))
@@ -291,15 +292,6 @@ def read_lines(running: subprocess.Popen[bytes], count: int) -> None:
     assert running.stdout is not None
     for _ in range(count):
         running.stdout.readline()
-
-
-def test_kill_9_of_a_worker_and_the_client(tmp_path: Path) -> None:
-    kill_at_random_moments(tmp_path, range(1, 2), 1)
-
-
-@pytest.mark.slow
-def test_kill_9_at_twenty_moments(tmp_path: Path) -> None:
-    kill_at_random_moments(tmp_path, range(20), 2)
 
 
 def test_two_processes_on_one_store(tmp_path: Path) -> None:
