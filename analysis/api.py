@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from analysis.experiments.reproduction import Reproduction
     from analysis.mission_protocol import DrivenMission
     from analysis.policy_evaluation.leaderboard import Suite
-    from analysis.policy_evaluation.policy_evaluation import Judged
+    from analysis.policy_evaluation.policy_evaluation import PolicyEvaluation
     from analysis.recording.contents import RecordedOutcomes, RecordedRollout
     from analysis.recording.record import Pick, Recorded
     from analysis.search.pareto import Front
@@ -371,7 +371,7 @@ def record(
 
     def work(tell: ProgressCallback, doing: Doing) -> Recorded:
         of, given = plan_of(world, plan)
-        made = not given.is_foreign
+        made = not given.is_external
         seconds = of.with_pace(step_seconds).pace.seconds or 1.0
         how: Any = {"loop": options["loop"] or given.usual_loop, "step_seconds": seconds, "made": made}
         how |= {"outcomes": outcomes} | {name: options[name] for name in ("seed", "engine")}
@@ -565,7 +565,7 @@ def judge(
     processes: int | None = None,
     progress: ProgressCallback | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
-) -> Judged:
+) -> PolicyEvaluation:
     """What is a policy of one's own worth: its coverage, and its score between a random walk and the proven bound.
 
     Args:
@@ -589,7 +589,7 @@ def judge(
     env = of_jax("environment")(world, robots, **given, max_steps=max_steps)
     choices = RolloutChoices(rollouts=rollouts, seed=seed)
 
-    def work(tell: ProgressCallback, doing: Doing) -> Judged:
+    def work(tell: ProgressCallback, doing: Doing) -> PolicyEvaluation:
         return judge_policy(world, policy, env, choices, against, processes, tell)
 
     return ask(work, progress, on_interrupt)
@@ -610,7 +610,7 @@ def suite(only: str | Sequence[str] | None = None) -> Suite:
 
 
 @overload
-def evaluate(world: World, plan: int | None = None, *, policy: Callable[..., Any], **how: Any) -> Judged: ...
+def evaluate(world: World, plan: int | None = None, *, policy: Callable[..., Any], **how: Any) -> PolicyEvaluation: ...
 @overload
 def evaluate(world: World, plan: PlanSource = None, **how: Any) -> Evaluation: ...
 def evaluate(
@@ -636,7 +636,7 @@ def evaluate(
     progress: ProgressCallback | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
     **asked: Any,
-) -> Evaluation | Judged:
+) -> Evaluation | PolicyEvaluation:
     """How much of the world does the team cover, and how sure is that?
 
     Args:
@@ -701,7 +701,9 @@ def _check_outputs(asked: Mapping[str, Any]) -> None:
         raise UnknownArgument.of(evaluate, name, asked[name], known)
 
 
-def _judged(world: World, plan: Any, policy: Callable[..., Any], asked: dict[str, Any], **rest: Any) -> Judged:
+def _judged(
+    world: World, plan: Any, policy: Callable[..., Any], asked: dict[str, Any], **rest: Any
+) -> PolicyEvaluation:
     """`evaluate` of a policy: what it was given, as `judge` takes it. Raises UsageError for what is for plans alone."""
     parameters = signature(evaluate).parameters
     given = asked | {name: value for name, value in rest.items() if value is not parameters[name].default}

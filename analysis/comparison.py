@@ -18,21 +18,21 @@ from analysis.estimators.trial import closed_truth
 from analysis.report.answer import Answer, json_end
 from analysis.report.model import KeyFigure, Part, Report
 from analysis.sampling import RolloutChoices, check_deadline, home_of, knowing_deadline, make_singles
-from analysis.statistics.estimates import Estimate, between, exactly, looks, lost_words, of_all, proportion
-from analysis.statistics.variance_reduction import LEAST, CommonLuck, Difference, Paired, controlled, difference
+from analysis.statistics.estimates import Estimate, between, exactly, looks, lost_text, of_all, proportion
+from analysis.statistics.variance_reduction import LEAST, CommonThresholds, Difference, Paired, controlled, difference
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import longest_run
 from analysis.utils.notes import ProgressCallback
-from analysis.utils.tables import bearing_words, make_table, span_words
+from analysis.utils.tables import failure_text, make_table, span_text
 from planner.arguments import MOST_ROLLOUTS
 from planner.errors import UsageError
 from planner.files import Json
 from planner.formatting import UNPACED, Pace, counted, in_percent, percent, share
 from planner.plan.plan import Plan, is_certain
 from planner.rollouts.closed_loop import MOST_TABLED
-from planner.rollouts.engine import run_ranges, worth_a_call
+from planner.rollouts.engine import rollouts_per_call, run_ranges
 from planner.rollouts.tables import AllPairs
-from planner.rollouts.threshold_classes import COLUMNS, sums_by_luck
+from planner.rollouts.threshold_classes import COLUMNS, sums_by_threshold
 from planner.simulator.codes import Outcome
 from planner.tally import RolloutResults, add_padded, no_counts
 from planner.world.world import World
@@ -135,14 +135,14 @@ class Comparison(Answer):
         units = self.a.unit(figure), self.b.unit(figure)
         return difference(self.pairs[figure], *units, reach, self.certain, self._controls(figure))
 
-    def _controls(self, figure: str) -> CommonLuck | None:
+    def _controls(self, figure: str) -> CommonThresholds | None:
         if not len(self.by_luck[0]):
             return None
         a, b = (sums.reshape(-1, len(COLUMNS)) for sums in self.by_luck)
         if figure not in COLUMNS:
             return None
         column = COLUMNS.index(figure)
-        return CommonLuck(most_robots(self.a, self.b), a[:, 0], a[:, column], b[:, column])
+        return CommonThresholds(most_robots(self.a, self.b), a[:, 0], a[:, column], b[:, column])
 
     @property
     def sides(self) -> tuple[Side, Side]:
@@ -170,7 +170,7 @@ class Comparison(Answer):
 def differing(a: Side, b: Side) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Descriptions of both sides where they differ: map, plan, team, loop, settings; empty if they are equal."""
     words: tuple[list[str], list[str]] = ([], [])
-    both_planned = not a.plan.is_foreign and not b.plan.is_foreign
+    both_planned = not a.plan.is_external and not b.plan.is_external
     mine, theirs = _traits(a, both_planned), _traits(b, both_planned)
     for name in mine:
         if mine[name] != theirs[name]:
@@ -179,7 +179,7 @@ def differing(a: Side, b: Side) -> tuple[tuple[str, ...], tuple[str, ...]]:
     # Equal descriptions may still belong to different maps, paths or mission states.
     if mine == theirs:
         paths = [[robot.path.tolist() for robot in side.plan.robots] for side in (a, b)]
-        if a.world.luck_sha256 != b.world.luck_sha256:
+        if a.world.randomness_sha256 != b.world.randomness_sha256:
             words[0].append("its map")
             words[1].append("another map of that name")
         elif paths[0] != paths[1]:
@@ -214,8 +214,8 @@ def _traits(side: Side, with_settings: bool) -> dict[str, str]:
         "loop": "open loop" if choices.loop == "open" else "closed loop",
         "checks": "first visits only" if choices.first_only else "every visit checked",
     }
-    if plan.is_foreign:
-        found["failures"] = plan.bearing.said or "Weibull shape 1, equal robots"
+    if plan.is_external:
+        found["failures"] = plan.failure_model.said or "Weibull shape 1, equal robots"
     settings = plan.settings.said() if with_settings and plan.settings is not None else {}
     if settings and choices.deadline is not None:  # it ends both sides, also a plan made without it
         settings["deadline"] = choices.deadline
@@ -269,7 +269,7 @@ def compare(a: Side, b: Side, progress: ProgressCallback | None = None, kept: Al
     most, total = (choices.rollouts, choices.rollouts) if choices.precision is None else (MOST_ROLLOUTS, 0)
     cells = max(a.cells, b.cells)
     # The precision is tested at fixed marks only, so that the result does not depend on chunk sizes.
-    marks, unit = looks(), worth_a_call(cells) if cells <= MOST_TABLED else 1
+    marks, unit = looks(), rollouts_per_call(cells) if cells <= MOST_TABLED else 1
     try:
         singles = [make_singles(side.world, side.plan, side.choices, kept=kept) for side in (a, b)]
 
@@ -299,7 +299,7 @@ def _add(so_far: Comparison, a: RolloutResults, b: RolloutResults, seconds: floa
     mine, theirs = a.visited.astype(np.int64) * so_far.b.cells, b.visited.astype(np.int64) * so_far.a.cells
     ahead, behind = int((theirs > mine).sum()), int((theirs < mine).sum())
     found = replace(so_far, pairs=pairs, ahead=so_far.ahead + ahead, behind=so_far.behind + behind, seconds=seconds)
-    sums = (sums_by_luck(side, so_far.a.choices.seed, most_robots(so_far.a, so_far.b)) for side in (a, b))
+    sums = (sums_by_threshold(side, so_far.a.choices.seed, most_robots(so_far.a, so_far.b)) for side in (a, b))
     one, other = (add_padded(before, more) for before, more in zip(so_far.by_luck, sums, strict=True))
     return replace(found, by_luck=(one, other))
 
@@ -401,7 +401,7 @@ def _notes(answer: Comparison) -> list[str]:
     for name, side in zip("AB", answer.sides, strict=True):
         if side.comes_home and "home" not in answer.figures:
             mean, every = (answer.mean(side, figure) for figure in OF_HOME)
-            said = f"{name}'s robots return to base, {lost_words(mean, len(side.plan.robots))}"
+            said = f"{name}'s robots return to base, {lost_text(mean, len(side.plan.robots))}"
             found.append(f"{said}, all of them in {percent(every)} of runs; the other side's need not")
     if vague := [SHOWN[figure][0] for figure in answer.figures if _is_vague(answer, figure)]:
         found.append(f"too few rollouts to compare {', '.join(vague)}: the intervals are wider than the figures")
@@ -420,12 +420,12 @@ def _is_vague(answer: Comparison, figure: str) -> bool:
 
 def _said(side: Side) -> str:
     plan, choices = side.plan, side.choices
-    made = plan.origin if plan.is_foreign else counted(len(plan.areas), "area")
+    made = plan.origin if plan.is_external else counted(len(plan.areas), "area")
     first = ", first visits only" if choices.first_only else ""
     by = "" if choices.deadline is None else f", by step {choices.deadline}{side.world.pace.also(choices.deadline)}"
     input_said = f"{side.world.source}, {counted(len(plan.robots), 'robot')}"
-    means = bearing_words(plan, side.world)
-    span = span_words(plan, side.world.pace)
+    means = failure_text(plan, side.world)
+    span = span_text(plan, side.world.pace)
     return f"{input_said}, {made}, {span}; {choices.loop} loop{first}{by}{'; ' if means else ''}{means}"
 
 

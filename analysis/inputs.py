@@ -358,7 +358,7 @@ def generate_world(
         world = random_world(height, width, pattern, obstacles=0.25 if obstacles is None else obstacles, threats=share)
     else:
         base = load_world(on, cell_size)
-        base.check_settled("putting random threats on a map")
+        base.require_certain_map("putting random threats on a map")
         notes = base.notes + _left_out(base, robots)
         threat = random_threats(base.free, round(share * int(base.free.sum())), pattern)
         combined = independent(base.threat.astype(np.float64), threat.astype(np.float64))

@@ -198,11 +198,11 @@ class WhatIf:
 class DrivenMission(Mission):
     """A mission with an outlook: compiled rollouts from the end of the last step."""
 
-    def check_foreseen(self) -> None:
+    def require_outlook(self) -> None:
         """Raise UsageError if the mission is over, WorldError for hazards, uncertain maps and phases."""
         if self.outcome is not None:
             raise UsageError("the mission is over", expected="a mission under way")
-        self.given.check_settled("the rest of a mission")
+        self.given.require_certain_map("the rest of a mission")
 
     def outlook(self, rollouts: int | None = None, seconds: float | None = None, seed: int = 0) -> Outlook:
         """Cells covered, robots lost and steps left, each with its 95 % interval.
@@ -272,7 +272,7 @@ class DrivenMission(Mission):
         """The same rollout ids for each set of changes (arguments of `rest`): `rollouts`, or blocks until `seconds`."""
         POSITIVE.check("seconds", seconds, optional=True)
         ends = time.monotonic() + (SECONDS if seconds is None else seconds)
-        self.check_foreseen()
+        self.require_outlook()
         # Check all arguments before the first compilation.
         whole(1, MOST_ROLLOUTS).check("rollouts", rollouts, optional=True)
         choices = RolloutChoices(seed=seed, exact="never")

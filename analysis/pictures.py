@@ -281,7 +281,7 @@ def whole_ticks(most: int) -> Locator:
 
 
 @contextmanager
-def house_style() -> Iterator[None]:
+def picture_style() -> Iterator[None]:
     """Matplotlib's defaults with the settings of this package, restored at the end; the user's are ignored."""
     with style.context(["default", RC]):
         yield
@@ -291,7 +291,7 @@ class Picture(Figure):
     """A figure that displays in a notebook; IPython finds other figures through pyplot, which is not used here."""
 
     def _repr_png_(self) -> bytes:
-        with house_style():
+        with picture_style():
             return png_bytes(self)
 
 
@@ -304,7 +304,7 @@ def new_figure(size: tuple[float, float], dpi: int = DPI) -> Picture:
 
 def png_of(draw: Callable[..., Figure], *given: object) -> bytes:
     """The figure `draw(*given)` as PNG, in the style of this package; equal arguments give equal bytes."""
-    with house_style():
+    with picture_style():
         return png_bytes(draw(*given))
 
 
@@ -552,7 +552,7 @@ def _draw(axes: Axes, world: World, plan: Plan | None, more: str) -> Key:
         + more,
         label=(
             "chance that one visit destroys the robot"
-            if plan is None or plan.bearing.is_even
+            if plan is None or plan.failure_model.is_even
             else "p, the dose of a visit"
         )
         + (" (level's mean)" if levels.quantised else ""),
@@ -592,7 +592,7 @@ def _draw_plan(axes: Axes, plan: Plan, points: float) -> None:
 def _how_long(world: World, plan: Plan | None) -> str:
     if plan is None:
         return ""
-    return f"; {plan.origin + ', ' if plan.is_foreign else ''}makespan {world.pace.steps(plan.makespan)}"
+    return f"; {plan.origin + ', ' if plan.is_external else ''}makespan {world.pace.steps(plan.makespan)}"
 
 
 def _area_numbers(plan: Plan) -> NDArray[np.int64]:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from analysis.checking.check import MapCheck
 from analysis.evaluation.evaluate import Evaluation
-from analysis.pictures import house_style, plan_figure
+from analysis.pictures import picture_style, plan_figure
 from analysis.report.answer import Answer, report_of
 from analysis.report.rendering import figure_of
 from analysis.search.pareto import Front
@@ -43,7 +43,7 @@ def world_figure(what: World | Evaluation, plan: Plan | None = None) -> Figure:
     Raises:
         InputError: the plan is for another map, or has no world.
     """
-    with house_style():
+    with picture_style():
         if isinstance(what, Evaluation) and plan is None:
             return figure_of(report_of(what), "world.png")
         if isinstance(what, Plan):
@@ -70,7 +70,7 @@ def _picture(kind: type[Kind], shows: str, name: str = "", needs: str = "") -> C
         said = report_of(answer)
         if name and name not in said.pictures:
             raise UsageError(f"the evaluation has no {name}", expected=needs)
-        with house_style():
+        with picture_style():
             return figure_of(said, name or next(iter(said.pictures)))
 
     figure.__doc__ = shows

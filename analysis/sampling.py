@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from analysis.statistics.estimates import looks
 from analysis.statistics.variance_reduction import LEAST
-from analysis.utils.progress import compiles_for
+from analysis.utils.progress import announce_compilation
 from planner.arguments import MAX_STEP, MOST_ROLLOUTS, argument, as_whole, check_word, whole
 from planner.errors import UsageError
 from planner.formatting import SPANS, Pace, seconds_of
@@ -185,7 +185,7 @@ def make_engine_for(
     """
     from planner.rollouts.engine import Rolling, make_engine
 
-    compiles_for(plan, choices.loop)
+    announce_compilation(plan, choices.loop)
     how = Rolling(choices.loop, choices.first_only, choices.seed)
     engine = make_engine(plan, world, how, choices.engine, kept)
     return engine if threats is None else engine.under(threats)

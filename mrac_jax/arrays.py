@@ -24,7 +24,7 @@ from planner.world.uncertain_maps import UNIT
 WORDS, WORD = 2, 32
 
 
-def two_words(units: NDArray[np.int64]) -> NDArray[np.uint32]:
+def uint64_pairs(units: NDArray[np.int64]) -> NDArray[np.uint32]:
     """uint32 `[.., 2]` of non-negative integers `[..]`."""
     return np.stack([units >> WORD, units & (2**WORD - 1)], axis=-1).astype(np.uint32)
 
@@ -41,9 +41,9 @@ def less(left: jax.Array, exposure: jax.Array) -> jax.Array:
     return jnp.stack([left[..., 0] - exposure[..., 0] - borrow, left[..., 1] - exposure[..., 1]], axis=-1)
 
 
-def tolerance_words(word: jax.Array) -> jax.Array:
+def threshold_pairs(word: jax.Array) -> jax.Array:
     """Failure thresholds of robots, uint32 `[.., 2]`, from random words, uint32 `[..]`:
-    `planner.simulator.thresholds.tolerance_of`."""
+    `planner.simulator.thresholds.threshold_of`."""
     with jax.enable_x64(True):  # only for this trace
         odd = 2 * word.astype(jnp.int64) + 1
         units = log_units(odd, 63 - jax.lax.clz(odd), jnp.asarray(LOGARITHMS))
@@ -122,7 +122,7 @@ class Doubt:
     spends: Array
 
 
-def make_doubt(drawn: Tables | JointDraws, key: tuple[int, int], spends: bool, size: int) -> Doubt:
+def make_map_uncertainty(drawn: Tables | JointDraws, key: tuple[int, int], spends: bool, size: int) -> Doubt:
     """The uncertain map of either loop (NumPy), padded to `size` places.
 
     Raises WorldError for more maps than a 24-bit word distinguishes.
@@ -133,7 +133,7 @@ def make_doubt(drawn: Tables | JointDraws, key: tuple[int, int], spends: bool, s
             f"{rows} maps", expected=f"at most {MOST_MAPS} in JAX", fix=f"use {argument('engine', 'numba')}"
         )
     doses = np.zeros((max(LEAST_TABLE, 1 << max(rows * columns - 1, 0).bit_length()), WORDS), dtype=np.uint32)
-    doses[: rows * columns] = two_words(drawn.doses.ravel())
+    doses[: rows * columns] = uint64_pairs(drawn.doses.ravel())
     counter, there, column = (
         np.pad(each, (0, size - len(each))) for each in (drawn.own_counter, drawn.there, drawn.column)
     )
@@ -143,7 +143,7 @@ def make_doubt(drawn: Tables | JointDraws, key: tuple[int, int], spends: bool, s
     )  # fmt: skip
 
 
-def exposure_in_doubt(doubt: Doubt, rollout: jax.Array, place: jax.Array, most: Array) -> jax.Array:
+def uncertain_hazard(doubt: Doubt, rollout: jax.Array, place: jax.Array, most: Array) -> jax.Array:
     """Hazard of visits, uint32 `[.., 2]`, at these places in these rollouts; `most`: of an existing latent hazard."""
     word = threefry2x32(doubt.key, rollout, _at(doubt.counter, place))[0] >> jnp.uint32(8)
     row = jnp.zeros_like(word)

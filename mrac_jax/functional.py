@@ -38,12 +38,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from mrac_jax.arrays import STATIC, Array, robot_words, threefry2x32, tolerance_words
+from mrac_jax.arrays import STATIC, Array, robot_words, threefry2x32, threshold_pairs
 from mrac_jax.closed_loop.counting import roll_out, scores, with_hazards
 from mrac_jax.closed_loop.engine import JaxClosedLoop
 from mrac_jax.closed_loop.lanes import DONE, TIME, Book
 from planner.errors import InputError, PlanError, UsageError
-from planner.failure_model import LUCK_DRAW, OWN_KEYS, key_of, wear_nodes, wear_scale
+from planner.failure_model import OWN_KEYS, THRESHOLD_DRAW, key_of, weibull_nodes, weibull_scale
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.coverage_gradient import LEAST_LOSSES
@@ -130,10 +130,10 @@ def arrays(world: World, plan: Plan) -> PlanArrays:
         WorldError: the map is not known, or its threats change, move or depend on the robot.
     """
     plan.require(world)
-    world.check_settled("mrac.functional")
-    if plan.bearing.types is not None:
+    world.require_certain_map("mrac.functional")
+    if plan.failure_model.types is not None:
         raise PlanError(
-            f"mrac.functional has one map p for all robots; here: {plan.bearing.said}", fix="leave `types` out"
+            f"mrac.functional has one map p for all robots; here: {plan.failure_model.said}", fix="leave `types` out"
         )
     compile_plan(plan, world)  # checks paths, and that no state is given
     entered = [robot.entered for robot in plan.robots]
@@ -150,9 +150,9 @@ def arrays(world: World, plan: Plan) -> PlanArrays:
         step=jnp.asarray(step),
         first=jnp.asarray(first, jnp.int32),
         free=jnp.asarray(world.free),
-        multiplier=jnp.asarray(plan.bearing.times(robots), jnp.int32),
+        multiplier=jnp.asarray(plan.failure_model.times(robots), jnp.int32),
         steps=int(step.max()),
-        weibull_shape=float(plan.bearing.shape),
+        weibull_shape=float(plan.failure_model.shape),
     )
 
 
@@ -230,7 +230,7 @@ def _effective_hazard(arrays: PlanArrays, hazard: Array) -> Array:
     if shape == 1:
         return hazard
     some = hazard > 0  # the derivative of 0**B is infinite or NaN for B < 1
-    return jnp.where(some, (jnp.where(some, hazard, 1.0) / wear_scale(shape)) ** shape, 0.0)
+    return jnp.where(some, (jnp.where(some, hazard, 1.0) / weibull_scale(shape)) ** shape, 0.0)
 
 
 # Rollouts: the word from which on a robot is lost at an entry, then a comparison of words.
@@ -247,7 +247,7 @@ def thresholds(key: Key, ids: ArrayLike, robots: int) -> Array:
         ids: uint32 `[..]`, rollout ids.
         robots: K.
     """
-    return tolerance_words(_words_of(_seed_words(key), _ids("ids", ids), robots))
+    return threshold_pairs(_words_of(_seed_words(key), _ids("ids", ids), robots))
 
 
 def _ids(name: str, given: ArrayLike) -> Array:
@@ -259,7 +259,7 @@ def _ids(name: str, given: ArrayLike) -> Array:
 
 
 def _words_of(seed: Array, ids: Array, robots: int) -> Array:
-    purpose = threefry2x32(seed, jnp.uint32(OWN_KEYS), jnp.uint32(LUCK_DRAW))
+    purpose = threefry2x32(seed, jnp.uint32(OWN_KEYS), jnp.uint32(THRESHOLD_DRAW))
     return robot_words(jnp.stack(purpose), ids, robots)
 
 
@@ -305,13 +305,14 @@ def _limits(arrays: PlanArrays, p: Array) -> tuple[Array, Array]:
 
 
 def _to_fresh_robot(hazard: Array, times: Array, shape: float) -> Array:
-    """`planner.simulator.thresholds.unworn` in jnp: hazards to a robot whose threshold is Exp(1), int64 `[K, E]`."""
+    """`planner.simulator.thresholds.exp1_hazard` in jnp: hazards to a robot whose threshold is Exp(1), int64 `[K,
+    E]`."""
     some = (hazard > 0).astype(jnp.int64)
     after = jnp.minimum(hazard, (2**62 // jnp.maximum(times, SCALE)) << 16) + some
     multiplied = (after >> 16) * times + (((after & (SCALE - 1)) * times - some) >> 16)
     if shape == 1:
         return multiplied
-    nodes = jnp.asarray(wear_nodes(shape))
+    nodes = jnp.asarray(weibull_nodes(shape))
     multiplied = jnp.minimum(multiplied, nodes[-1] - 1)
     node = jnp.searchsorted(nodes, multiplied, side="right").astype(jnp.int64) - 1
     octave = jnp.maximum((node >> 6) - 1, 0)
@@ -511,7 +512,7 @@ def book(
     engine = JaxClosedLoop(loop, seed, lanes=lanes, devices=1)
     engine.run(0, rollouts)
     free = np.isin(np.arange(world.threat.size), loop.cells).reshape(world.shape)
-    cells, plain = loop.cells.astype(np.int32), np.bool_(loop.bearing.is_plain)
+    cells, plain = loop.cells.astype(np.int32), np.bool_(loop.failure_model.is_plain)
     return replace(engine.book(), **jax.device_put({"free": free, "cells": cells, "plain": plain}))
 
 
@@ -571,7 +572,7 @@ def _closed_gradient(seed: Array, book: Book, p: Array, *, n: int) -> Gradient:
 
     def sums_of(group: Array) -> Any:
         ids = group + groups * jnp.arange(size)
-        left = tolerance_words(_words_of(seed, ids.astype(jnp.uint32), book.milestones.shape[0]))
+        left = threshold_pairs(_words_of(seed, ids.astype(jnp.uint32), book.milestones.shape[0]))
         return scores(own, decisions, left, ids < n)
 
     count, covered, losses, score, weighed = jax.lax.map(sums_of, jnp.arange(groups))

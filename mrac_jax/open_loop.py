@@ -20,17 +20,17 @@ from mrac_jax.arrays import (
     STATIC,
     Array,
     Doubt,
-    exposure_in_doubt,
     is_reached,
     less,
-    make_doubt,
+    make_map_uncertainty,
     on_host,
     threefry2x32,
-    two_words,
+    uint64_pairs,
+    uncertain_hazard,
 )
 from mrac_jax.process import fixed_flags
 from mrac_jax.runtime import keep_jax_programs
-from planner.failure_model import key_of_luck, own_key
+from planner.failure_model import own_key, threshold_key
 from planner.rollouts.open_loop import (
     CompiledPlan,
     RangeCounts,
@@ -250,9 +250,9 @@ def pad_draws(joint: JointDraws, key: tuple[int, int], slot_pad: int) -> PaddedD
         PaddedDraws,
         slot=slot,
         place=place,
-        exposure=two_words(exposure.astype(np.int64)),
+        exposure=uint64_pairs(exposure.astype(np.int64)),
         spot=spot if spends else np.zeros_like(spot),
-        doubt=make_doubt(joint, key, spends, size),
+        doubt=make_map_uncertainty(joint, key, spends, size),
         count=np.int32(len(joint.slot)),
         last=_grow(joint.last, slot_pad, dtype=np.int32),
         spent=np.zeros(power_bucket(joint.spots), dtype=np.bool_),
@@ -364,7 +364,7 @@ def _joint_outcomes(joint: PaddedDraws, left: jax.Array, rollouts: jax.Array) ->
             slot, spot = joint.slot[number], joint.spot[number]
             # Only live robots are tested, and only where no hazard was removed in this rollout.
             checked = (number < joint.count) & (outcome[slot] == joint.last[slot]) & ~spent[spot]
-            exposure = exposure_in_doubt(joint.doubt, rollouts, number, joint.exposure[number])
+            exposure = uncertain_hazard(joint.doubt, rollouts, number, joint.exposure[number])
             exposure = jnp.where(checked[:, None], exposure, jnp.uint32(0))
             hit = checked & is_reached(left[slot], exposure)
             left = left.at[slot].set(less(left[slot], exposure))
@@ -502,13 +502,13 @@ class JaxOpenLoop:
 
     def _failures(self, first: int) -> Failures:
         """The random numbers of failures of the batch that begins with this id (NumPy)."""
-        key, joint = np.array(key_of_luck(self.seed), dtype=np.uint32), self.compiled.tables.joint
+        key, joint = np.array(threshold_key(self.seed), dtype=np.uint32), self.compiled.tables.joint
         if joint is None:
             return on_host(Failures, key=key, left=None)
         ids = np.arange(first, first + self.batch)
-        thresholds = self.compiled.plan.bearing.tolerances(self.seed, ids, self.compiled.robots)[:, joint.robot]
+        thresholds = self.compiled.plan.failure_model.tolerances(self.seed, ids, self.compiled.robots)[:, joint.robot]
         empty = len(self.padded.counter) - len(joint.robot)
-        return on_host(Failures, key=key, left=two_words(np.pad(thresholds.T, ((0, empty), (0, 0)))))
+        return on_host(Failures, key=key, left=uint64_pairs(np.pad(thresholds.T, ((0, empty), (0, 0)))))
 
     @fixed_flags()  # flags are set for each thread
     def _part(self, stream: int, start: int, count: int) -> Sums:

@@ -17,7 +17,7 @@ from scipy.special import gamma
 
 from planner.arguments import argument, check_each
 from planner.errors import UsageError
-from planner.simulator.thresholds import CERTAIN, DIGITS, MOST, SCALE, UNIT, threefry2x32, tolerance_of, unworn
+from planner.simulator.thresholds import CERTAIN, DIGITS, MOST, SCALE, UNIT, exp1_hazard, threefry2x32, threshold_of
 
 OWN_KEYS = 0x48415A44
 """First counter word from which keys for hazards and maps are derived."""
@@ -46,7 +46,7 @@ def own_key(seed: int, purpose: int) -> tuple[int, int]:
 # at which the sum reaches its threshold, an Exp(1) number drawn once per rollout: the same distribution as independent
 # checks. Integers decide, so every engine on every platform loses the same robots.
 
-LUCK_DRAW = 2
+THRESHOLD_DRAW = 2
 """Second counter word from which thresholds get their key."""
 SURE = 1e-3
 """Distance from a half above which a float64 rounds as the exact value does: its error is below 1e-4 units."""
@@ -89,14 +89,14 @@ def least_word(exposure: ArrayLike) -> NDArray[np.int64]:
     low, high = np.zeros_like(borne), np.full_like(borne, UNIT)
     for _ in range(33):
         middle = np.minimum((low + high) >> 1, UNIT - 1)
-        stops = tolerance_of(middle) <= borne
+        stops = threshold_of(middle) <= borne
         low, high = np.where(stops | (low == high), low, middle + 1), np.where(stops, middle, high)
     return high
 
 
-def key_of_luck(seed: int) -> tuple[int, int]:
+def threshold_key(seed: int) -> tuple[int, int]:
     """The key of failure thresholds."""
-    return own_key(seed, LUCK_DRAW)
+    return own_key(seed, THRESHOLD_DRAW)
 
 
 def tolerances(seed: int, rollouts: ArrayLike, robots: int) -> NDArray[np.int64]:
@@ -111,7 +111,7 @@ def tolerances(seed: int, rollouts: ArrayLike, robots: int) -> NDArray[np.int64]
         int64 `[B, K]`, in hazard units.
     """
     ids = np.asarray(rollouts, dtype=np.uint32)
-    return tolerance_of(threefry2x32(key_of_luck(seed), ids[:, None], np.arange(robots, dtype=np.uint32))[0])
+    return threshold_of(threefry2x32(threshold_key(seed), ids[:, None], np.arange(robots, dtype=np.uint32))[0])
 
 
 def susceptible(tolerance: ArrayLike, hazard_multiplier: float) -> NDArray[np.int64]:
@@ -129,17 +129,17 @@ def worn(tolerance: ArrayLike, shape: float) -> NDArray[np.int64]:
     node = np.where(borne < 64, borne, 64 * octave + (borne >> octave))
     rest = borne & ((np.int64(1) << octave) - 1)
     part = (rest << 16) >> octave
-    nodes = wear_nodes(float(shape))
+    nodes = weibull_nodes(float(shape))
     return nodes[node] + ((nodes[node + 1] - nodes[node]) * part >> 16)
 
 
-def wear_scale(shape: float) -> float:
+def weibull_scale(shape: float) -> float:
     """s, a whole number of 2**-20: the scale of a Weibull threshold of this shape with mean 1."""
     return round(2**20 / float(gamma(1 + 1 / shape))) / 2**20
 
 
 @cache
-def wear_nodes(shape: float) -> NDArray[np.int64]:
+def weibull_nodes(shape: float) -> NDArray[np.int64]:
     """The quantile function at 0 .. 63, then 64 nodes per octave, up to an octave beyond the largest threshold.
 
     int64; empty for shape 1.
@@ -148,7 +148,7 @@ def wear_nodes(shape: float) -> NDArray[np.int64]:
         return np.zeros(0, dtype=np.int64)
     octaves = MOST.bit_length() - 5
     places = [*range(64), *((64 + i) << octave for octave in range(octaves) for i in range(64)), 64 << octaves]
-    scale = Decimal(wear_scale(shape)) * UNIT
+    scale = Decimal(weibull_scale(shape)) * UNIT
     power = Decimal(shape)
     return np.array([_worn_node(Decimal(place) / UNIT, scale, power) for place in places], dtype=np.int64)
 
@@ -163,7 +163,7 @@ Susceptibility = float | tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Bearing:
+class FailureModel:
     """Failure model of a team.
 
     Attributes:
@@ -237,8 +237,8 @@ class Bearing:
 
     @property
     def nodes(self) -> NDArray[np.int64]:
-        """`wear_nodes` of the shape."""
-        return wear_nodes(float(self.shape))
+        """`weibull_nodes` of the shape."""
+        return weibull_nodes(float(self.shape))
 
     def fresh(self, exposure: NDArray[np.int64], robot: int) -> NDArray[np.int64]:
         """The largest Exp(1) thresholds that these cumulative hazards reach; 0: none.
@@ -247,13 +247,13 @@ class Bearing:
             exposure: int64 `[..]`.
             robot: index.
         """
-        return np.asarray(unworn(exposure, self.nodes, self.times(robot + 1)[robot]))
+        return np.asarray(exp1_hazard(exposure, self.nodes, self.times(robot + 1)[robot]))
 
-    def fresh_begun(self, robots: int) -> NDArray[np.int64]:
+    def exp1_begun(self, robots: int) -> NDArray[np.int64]:
         """The same for each robot's hazard before rollouts begin, int64 `[K]`."""
         if not self.begun:
             return np.zeros(robots, dtype=np.int64)
-        return np.asarray(unworn(np.array(self.begun[:robots]), self.nodes, self.times(robots)))
+        return np.asarray(exp1_hazard(np.array(self.begun[:robots]), self.nodes, self.times(robots)))
 
     def most(self, robots: int) -> NDArray[np.int64]:
         """The largest cumulative hazard that each robot `[K]` can survive with some threshold, int64."""
@@ -271,7 +271,7 @@ class Bearing:
         Returns:
             int64 `[B, K]`.
         """
-        drawn, begun = tolerances(seed, rollouts, robots), self.fresh_begun(robots)
+        drawn, begun = tolerances(seed, rollouts, robots), self.exp1_begun(robots)
         if self.is_even:
             return drawn
         ones = [
@@ -290,7 +290,7 @@ class Bearing:
         times, power = self.times(robot + 1)[robot] / SCALE, float(self.shape)
 
         def nats(borne: NDArray[np.float64]) -> NDArray[np.float64]:
-            return np.asarray((times * borne / wear_scale(power)) ** power)
+            return np.asarray((times * borne / weibull_scale(power)) ** power)
 
         begun = np.array(self.begun[robot] * 2.0**-32 if self.begun else 0.0)
         return np.asarray(np.exp(nats(begun) - nats(begun + exposure)))
@@ -300,4 +300,4 @@ class Bearing:
         return 1.0 - float(self.survival(-np.log1p(-np.array(min(chance, 1 - 1e-12))), robot))
 
 
-PLAIN = Bearing()
+PLAIN = FailureModel()

@@ -142,7 +142,7 @@ def _target(path: Path) -> Path:
 
 
 @contextmanager
-def foreign_errors(problem: str, source: object = "", expected: str = "") -> Iterator[None]:
+def library_errors(problem: str, source: object = "", expected: str = "") -> Iterator[None]:
     """Context in which nearly all exceptions of a library become MapErrors, and its warnings are suppressed.
 
     Args:
@@ -169,7 +169,7 @@ def read_npy(path: Path, most_cells: int) -> NDArray:
         MapError: it is invalid.
     """
     check_file(path, "a NumPy array file")
-    with foreign_errors("cannot be read as .npy", path, "a NumPy array file"), path.open("rb") as stream:
+    with library_errors("cannot be read as .npy", path, "a NumPy array file"), path.open("rb") as stream:
         _, claimed = _claimed(stream, most_cells, path)
         held = path.stat().st_size
         if claimed > held:
@@ -204,7 +204,7 @@ def unpack_npz(data: bytes, most_bytes: int, source: str) -> dict[str, NDArray]:
 
 
 def _unpack(file: Path | io.BytesIO, most_bytes: int, source: Path | str) -> dict[str, NDArray]:
-    with foreign_errors("cannot be read as .npz", source, "a NumPy archive"):
+    with library_errors("cannot be read as .npz", source, "a NumPy archive"):
         with zipfile.ZipFile(file) as archive:
             _check_members(archive, most_bytes, source)
         if isinstance(file, io.BytesIO):

@@ -39,7 +39,7 @@ def counted(number: float, thing: str, things: str = "") -> str:
     return f"{shown} {thing if number == 1 else things or thing + 's'}"
 
 
-def at_least_words(number: int, of: int) -> str:
+def at_least_text(number: int, of: int) -> str:
     """ "at least 1 robot is", "at least 2 robots are", "every robot is"."""
     if number == of:
         return "the robot is" if of == 1 else "every robot is"

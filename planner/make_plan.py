@@ -64,7 +64,7 @@ def allocated(
     problem = prepare(world, starts, settings, homes=homes, before=before)
     robots = tuple(RobotPlan(cell) for cell in problem.starts[:, None])
     if state is not None:
-        world.check_settled("a resumed mission")
+        world.require_certain_map("a resumed mission")
         state = made_ready(problem, state)
         areas = areas_of(state)
     elif allocation is None:
@@ -86,7 +86,7 @@ def nominal_run(problem: Problem, plan: Plan) -> Run:
         WorldError: legs stay in areas (`transit="area"`) which change during the run.
     """
     if problem.unknown is not None and problem.unknown.phases is not None and problem.stay_inside:
-        problem.world.check_told('`transit="area"`, legs that stay in their area,')
+        problem.world.require_known_map('`transit="area"`, legs that stay in their area,')
     loop = compile_closed_loop(plan, problem.world, problem=problem, interpreted=True)
     loop = nominal_loop(loop)
     built_in = loop.in_area is None and (loop.policy is None or loop.policy.key is None)
@@ -205,8 +205,8 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
     Raises:
         StateError: it does not fit the settings.
     """
-    problem.settings.check_not_charged("the state of a mission")
-    problem.settings.check_alike("the state of a mission")
+    problem.settings.require_no_recharge("the state of a mission")
+    problem.settings.require_uniform("the state of a mission")
     if state.step >= problem.max_steps:
         raise StateError(f"the state is of step {state.step}", expected=f"a step before the last, {problem.max_steps}")
     left = problem.range - [robot.moves for robot in state.robots]
@@ -236,7 +236,7 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
     )
     state = replace(state, robots=tuple(robots))
     for number, robot in enumerate(state.robots):
-        if robot.status in ON_ITS_WAY and not _leads_on(robot, state.areas[robot.area], problem.rule.attentive):
+        if robot.status in ON_ITS_WAY and not _leads_on(robot, state.areas[robot.area], problem.rule.replanning):
             expected = "a path that ends in its area, and the cells it still has to cover on it"
             problem_is = f"robot {number} is {robot.status}, but not by policy {problem.rule.name}"
             raise StateError(problem_is, expected=expected, fix=_settings_asked("policy"))
@@ -250,10 +250,10 @@ def _settings_asked(name: str) -> str:
 
 def _check_exposures(problem: Problem, state: MissionState) -> None:
     """Raise StateError if hazards so far matter, and one is unknown or larger than any threshold."""
-    bearing = problem.settings.bearing(state.exposures)
+    failure_model = problem.settings.failure_model(state.exposures)
     if problem.settings.weibull_shape == 1:
         return
-    borne = bearing.fresh_begun(len(state.robots))
+    borne = failure_model.exp1_begun(len(state.robots))
     for number, robot in enumerate(state.robots):
         if robot.alive and robot.exposure is None:
             raise StateError(
@@ -267,8 +267,8 @@ def _check_exposures(problem: Problem, state: MissionState) -> None:
             )
 
 
-def _leads_on(robot: RobotState, area: AreaState, attentive: bool) -> bool:
-    if robot.status == "traveling" or attentive:
+def _leads_on(robot: RobotState, area: AreaState, replanning: bool) -> bool:
+    if robot.status == "traveling" or replanning:
         return bool(np.isin(robot.ahead[-1], area.cells))
     return robot.ahead[-1] in robot.to_do and bool(np.isin(robot.to_do, robot.ahead).all())
 

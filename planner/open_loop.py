@@ -333,9 +333,9 @@ def make_open_loop_plan(world: World, starts: ArrayLike, settings: Settings, sec
         WorldError, PlanError: as in `make_plan`, or the map is too large.
     """
     closed = replace(settings, plan_for="closed_loop", effort=None)
-    world.check_told("a plan for the open loop")
-    settings.check_stays("a plan for the open loop")
-    settings.check_alike("a plan for the open loop")
+    world.require_known_map("a plan for the open loop")
+    settings.require_no_return("a plan for the open loop")
+    settings.require_uniform("a plan for the open loop")
     nominal = make_plan(world, starts, closed)
     problem = prepare(world, starts, closed)
     nodes = make_nodes(world, problem.levels.accessible.reshape(world.shape))
@@ -360,13 +360,13 @@ def make_open_loop_plan(world: World, starts: ArrayLike, settings: Settings, sec
         nodes.drive(order, start, problem)[: min(last, moves) + 1]
         for order, start, moves in zip(found.orders, problem.starts.tolist(), problem.range.tolist(), strict=True)
     )
-    cells, before = (expected_worth(some, world) for some in (paths, [robot.path for robot in nominal.robots]))
+    cells, before = (expected_value(some, world) for some in (paths, [robot.path for robot in nominal.robots]))
     if before > cells:
         paths = tuple(robot.path for robot in nominal.robots)
     plan = Plan(
         world.shape, world.sha256, None, tuple(RobotPlan(path) for path in paths), outcome=Outcome.END_OF_PATHS.word,
         for_open_loop=True,
-        bears=settings.bearing(), source=world.source,
+        bears=settings.failure_model(), source=world.source,
         notes=_notes(cells, before, found.evaluations, effort, closed, "cells" if world.value is None else "of value"),
     )  # fmt: skip
     return replace(plan, time=plan.makespan)
@@ -382,7 +382,7 @@ def _alone(world: World, starts: NDArray[np.int64], settings: Settings) -> list[
     return [found[start] for start in starts.tolist()]
 
 
-def expected_worth(paths: tuple[NDArray[np.int64], ...] | list[NDArray[np.int64]], world: World) -> float:
+def expected_value(paths: tuple[NDArray[np.int64], ...] | list[NDArray[np.int64]], world: World) -> float:
     """Expected cells visited in the open loop, or their value: `sum_c w_c (1 - prod_i (1 - S_i(c)))`.
 
     S is the probability before the entry's own check.

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import WorldError
-from planner.failure_model import PLAIN, Bearing, exposure_of, own_key
+from planner.failure_model import PLAIN, FailureModel, exposure_of, own_key
 from planner.simulator.thresholds import threefry2x32
-from planner.world.moving_threats import ANYWHERE, Movers, Phases
+from planner.world.moving_threats import ANYWHERE, MovingThreats, Phases
 from planner.world.uncertain_maps import HAZARD_DRAW, MAP_DRAW, UNIT, Hazard, Uncertain, bounds_of
 from planner.world.world import World
 
@@ -26,10 +26,10 @@ class Luck:
         bearing: the failure model.
     """
 
-    def __init__(self, world: World, seed: int, rollout: int, bearing: Bearing = PLAIN) -> None:
-        types = bearing.types
+    def __init__(self, world: World, seed: int, rollout: int, failure_model: FailureModel = PLAIN) -> None:
+        types = failure_model.types
         self._own = world.of_robots(types, len(types) if isinstance(types, tuple) else 1)
-        self._world, self._seed, self._rollout, self._bearing = world, seed, rollout, bearing
+        self._world, self._seed, self._rollout, self._bearing = world, seed, rollout, failure_model
         self._tolerance: dict[int, int] = {}
         self._spent: set[int] = set()
         self._exposure: defaultdict[int, int] = defaultdict(int)
@@ -60,7 +60,7 @@ class Luck:
         place = np.unravel_index(cell, self._world.shape)
         if isinstance(doubt, Phases):
             return doubt.threats[doubt.number_at(step)][place]
-        if doubt is None or isinstance(doubt, Movers):
+        if doubt is None or isinstance(doubt, MovingThreats):
             return self._own[min(robot, len(self._own) - 1)].met[place]
         if isinstance(doubt, Hazard):
             return doubt.h[place] if self._are_there(doubt, np.array([cell]))[0] else np.float32(0)
@@ -113,7 +113,7 @@ MOVE_DRAW, MEETING_DRAW = 3, 4
 """Second counter words from which moves, and losses at encounters, get their keys."""
 
 
-class Roaming:
+class MovingThreatRun:
     """The moving threats of a rollout.
 
     Args:
@@ -123,7 +123,7 @@ class Roaming:
         robots: K.
     """
 
-    def __init__(self, movers: Movers, seed: int, rollout: int, robots: int) -> None:
+    def __init__(self, movers: MovingThreats, seed: int, rollout: int, robots: int) -> None:
         self._movers, self._rollout, self._robots = movers, rollout, robots
         self._moves, self._meets = own_key(seed, MOVE_DRAW), own_key(seed, MEETING_DRAW)
         self._free = ~np.isnan(movers.own)
@@ -168,7 +168,7 @@ def chance_bound(chance: float) -> int:
     return int(bounds_of(np.array([chance], dtype=np.float32))[0])
 
 
-def first_places(movers: Movers, seed: int, rollouts: ArrayLike) -> NDArray[np.int64]:
+def first_places(movers: MovingThreats, seed: int, rollouts: ArrayLike) -> NDArray[np.int64]:
     """int64 `[B, M]`: positions of moving threats before their first move: cells, or indices on their routes.
 
     Args:
@@ -189,7 +189,7 @@ def first_places(movers: Movers, seed: int, rollouts: ArrayLike) -> NDArray[np.i
     return places
 
 
-def ways_of_movers(world: World, seed: int, rollout: int, steps: int) -> NDArray[np.int64]:
+def threat_paths(world: World, seed: int, rollout: int, steps: int) -> NDArray[np.int64]:
     """int64 `[steps, M]`: the cell of each moving threat at the end of steps 0, 1, ...; no columns without any.
 
     Args:
@@ -200,7 +200,7 @@ def ways_of_movers(world: World, seed: int, rollout: int, steps: int) -> NDArray
     """
     if world.movers is None:
         return np.zeros((steps, 0), dtype=np.int64)
-    roaming, ways = Roaming(world.movers, seed, rollout, 1), []
+    roaming, ways = MovingThreatRun(world.movers, seed, rollout, 1), []
     for step in range(steps):
         roaming.move(step)
         ways.append(roaming.cells)

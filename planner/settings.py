@@ -35,7 +35,7 @@ from planner.policies.rules import NEAREST, ORDERS, InAreaOrder
 from planner.simulator.offers import Offer
 
 if TYPE_CHECKING:
-    from planner.failure_model import Bearing
+    from planner.failure_model import FailureModel
 
 Policy = str | Rule | Callable[[Offer], Any]
 """A rule by its name, or a user's own: a `Rule`, or a function to order areas by (`planner.policies.own_rule`)."""
@@ -283,11 +283,11 @@ class Settings:
         """Whether it is `deadline` that cuts runs off, not the step limit."""
         return self.deadline is not None and self.deadline == self.last_step
 
-    def bearing(self, begun: tuple[int, ...] = ()) -> Bearing:
+    def failure_model(self, begun: tuple[int, ...] = ()) -> FailureModel:
         """What the robots bear; `begun`: what each is known to have borne, in units of 2**-32 nat."""
-        from planner.failure_model import Bearing
+        from planner.failure_model import FailureModel
 
-        return Bearing(self.weibull_shape, self.hazard_multiplier, begun, self.types)
+        return FailureModel(self.weibull_shape, self.hazard_multiplier, begun, self.types)
 
     @property
     def alone(self) -> Settings:
@@ -313,7 +313,7 @@ class Settings:
         for name in (name for name, setting in SETTINGS.items() if setting.each and not setting.found):
             check_each(name, getattr(self, name), robots, source)
 
-    def check_stays(self, what: str) -> None:
+    def require_no_return(self, what: str) -> None:
         """Raise PlanError for robots that come home, which `what` knows nothing of."""
         if self.return_to is not None:
             raise PlanError(f"{what} with {argument('return_to')}", fix=f"leave {argument('return_to')} out")
@@ -325,7 +325,7 @@ class Settings:
         reduced = tuple(steps // math.gcd(*given) for steps in given)
         return reduced if len(set(reduced)) > 1 else ()
 
-    def check_alike(self, what: str) -> None:
+    def require_uniform(self, what: str) -> None:
         """Raise PlanError for robots that differ, or do not hear everybody, which `what` knows nothing of."""
         differ = (
             ("types", self.types is not None),
@@ -335,7 +335,7 @@ class Settings:
         for name in (name for name, given in differ if given):
             raise PlanError(f"{what} with {argument(name)}", fix=f"leave {argument(name)} out")
 
-    def check_not_charged(self, what: str) -> None:
+    def require_no_recharge(self, what: str) -> None:
         """Raise PlanError for robots that are charged at their bases, which `what` knows nothing of."""
         if self.recharge is not None:
             raise PlanError(f"{what} with {argument('recharge')}", fix=f"leave {argument('recharge')} out")

@@ -27,7 +27,7 @@ from planner.world.changing_maps import with_hazard, with_maps, with_phases, wit
 from planner.world.features import PlannedOn, with_movers, with_prior, with_sense, with_truth
 from planner.world.generate import PAPER_LEVELS, ThreatPattern, random_world
 from planner.world.levels import place_starts
-from planner.world.moving_threats import ANYWHERE, Mover
+from planner.world.moving_threats import ANYWHERE, MovingThreat
 from planner.world.robot_types import checked_types
 from planner.world.scenario import load_input
 from planner.world.world import World
@@ -166,10 +166,10 @@ def moving_world(
         hit, told = float(random.choice([0.05, 0.3, 0.9])), random.random() < 0.5
         if routes and random.random() < 0.4:
             route = routes[int(random.integers(len(routes)))]
-            movers.append(Mover(hit, 0.0, route[2] if told else ANYWHERE, route))
+            movers.append(MovingThreat(hit, 0.0, route[2] if told else ANYWHERE, route))
         else:
             start = int(random.choice(free)) if told else ANYWHERE
-            movers.append(Mover(hit, float(random.choice([0, 0.2, 0.5])), start))
+            movers.append(MovingThreat(hit, float(random.choice([0, 0.2, 0.5])), start))
     return with_movers(world, movers, plan_on)
 
 

@@ -24,7 +24,7 @@ from planner.world.world import World
 POLICIES: tuple[dict[str, Any], ...] = (
     {}, {"policy": "per_cell"}, {"policy": "per_cell", "risk_cap": 0.5, "robot_value": 9.0},
 )  # fmt: skip
-KERNELS = ((runners, "run_set"), (open_loop_numba, "_count_drawn_once"), (open_loop_numba, "_count_joint"))
+KERNELS = ((runners, "run_group_tasks"), (open_loop_numba, "_count_drawn_once"), (open_loop_numba, "_count_joint"))
 DISTANCES = ((True, None), (False, None), (False, (0, 1, 1)))
 """From tables, from rows, and from searches as if all were far; with `nearby`, `wide` and `patience` of `Tables`."""
 SEED, ROLLOUTS = 1, 2

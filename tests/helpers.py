@@ -28,7 +28,7 @@ from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.names import EngineName
 from planner.rollouts.open_loop import CompiledPlan
 from planner.rollouts.single_run import PythonLoop, Run, SingleRun, play
-from planner.rollouts.threshold_classes import sums_by_luck
+from planner.rollouts.threshold_classes import sums_by_threshold
 from planner.simulator.thresholds import threefry2x32
 from planner.tally import RolloutResults, Tally, Trace
 from planner.world.world import World
@@ -94,7 +94,7 @@ class VisitLoop(PythonLoop):
     """The closed loop of the simulator as Python by these draws."""
 
     def begin(self, seed: int, rollout: int) -> SingleRun:
-        draws = VisitDraws(self.problem.world, seed, rollout, self.loop.bearing)
+        draws = VisitDraws(self.problem.world, seed, rollout, self.loop.failure_model)
         return SingleRun(self.loop, seed, rollout, hit=draws.hits)
 
 
@@ -127,7 +127,7 @@ def part(tally: Tally, results: RolloutResults, begin: int, end: int, seed: int 
         name: np.bincount(getattr(own, column), minlength=len(getattr(tally, name))) for name, column in SINGLE.items()
     }
     if seed is not None:
-        counts["by_luck"] = sums_by_luck(own, seed, tally.robots)
+        counts["by_luck"] = sums_by_threshold(own, seed, tally.robots)
     return replace(tally, ids=((own.start, own.start + end - begin),), **counts)
 
 
@@ -158,7 +158,7 @@ def play_both_ways(
     """
     python = PythonLoop(plan, world, first_only=first_only)
     runs = [python.run(seed, rollout) for rollout in range(rollouts)]
-    luck = Luck(world, seed, rollouts - 1, plan.bearing)
+    luck = Luck(world, seed, rollouts - 1, plan.failure_model)
     assert_same_trace(play(SingleRun(python.loop, seed, rollouts - 1, hit=luck.hits)).trace, runs[-1].trace, "told")
     for with_tables in tabled:
         loop = compile_closed_loop(plan, world, first_only=first_only, tabled=with_tables)

@@ -314,7 +314,7 @@ class Row:
         self.give(i, theirs)
         return True
 
-    def settle(self, i: int) -> None:
+    def after_move(self, i: int) -> None:
         """A path at its end goes over into the next one."""
         me = self.robots[i]
         while not me.path and me.doing in ("travel", "cover"):
@@ -349,7 +349,7 @@ class Row:
                     self.split(me.area)
                 return
         self.survived.add(cell)
-        self.settle(i)
+        self.after_move(i)
 
     def run(self) -> tuple[float, str, int, int, int, int]:
         """(chance, outcome, visited, survived, steps, alive)."""
@@ -368,7 +368,7 @@ class Row:
                 elif me.doing in ("idle", "done"):
                     if self.next_area(i, idle=True):
                         moved = True
-                        self.settle(i)
+                        self.after_move(i)
                 else:
                     self.enter(i, me.path.pop(0))
                     moved = True

@@ -197,7 +197,7 @@ class Paper:
         if self.step == 0 or walker.way:
             return walker.way[0] if self.step else walker.at
         if self.allocate(number, walker, share=False):
-            self.settle(number, walker)
+            self.after_move(number, walker)
         walker.path.append(walker.at)
         return None
 
@@ -235,7 +235,7 @@ class Paper:
             walker.way = []
             if walker.at not in self.patches[walker.patch].cells:
                 self.set_out(walker)
-        self.settle(number, walker)
+        self.after_move(number, walker)
 
     def end_step(self) -> None:
         """Every robot has had its turn."""
@@ -252,7 +252,7 @@ class Paper:
             return "all_robots_lost"
         return "no_progress" if self.quiet >= 2 else ""
 
-    def settle(self, number: int, walker: Walker) -> None:
+    def after_move(self, number: int, walker: Walker) -> None:
         """A path at its end goes over into the next one."""
         while not walker.way and walker.doing in WORKING:
             if walker.doing == "traveling" or self.left(walker.patch):
@@ -395,4 +395,4 @@ class PerCell(Paper):
             walker.way = []
             if walker.doing == "traveling":
                 self.set_out(walker)
-            self.settle(number, walker)
+            self.after_move(number, walker)

@@ -77,10 +77,10 @@ class Twin(Paper):
     # --- section 15 ---
 
     def end_step(self) -> None:
-        self.look_about()
+        self.sense_cells()
         super().end_step()
 
-    def look_about(self) -> None:
+    def sense_cells(self) -> None:
         live = [walker for walker in self.team if walker.doing != "dead"]
         seen = {cell for walker in live for cell in self.seen_from(walker.at)}
         news = {cell for cell in seen if self.map[cell] != self.true[cell]}
@@ -105,12 +105,12 @@ class Twin(Paper):
                     parts = pieces((patch.cells - news - self.visited) & reached)
                     patch.cells, patch.over = frozenset(parts[0] if parts else ()), not parts
                     self.patches += [Patch(patch.level, frozenset(part)) for part in parts[1:]]
-        self.take_in(reached)
+        self.add_reachable(reached)
         for number, walker in enumerate(self.team):
             if walker.doing in WORKING:
-                self.set_right(number, walker, legs[number], news, near[number])
+                self.repair_plan(number, walker, legs[number], news, near[number])
 
-    def take_in(self, reached: set[Cell]) -> None:
+    def add_reachable(self, reached: set[Cell]) -> None:
         held = set().union(*(patch.cells for patch in self.patches))
         new = [cell for cell in reached - self.visited - held if self.map[cell] != WALL]
         parts = [
@@ -131,7 +131,7 @@ class Twin(Paper):
                 self.patches[n].cells, self.patches[n].over = frozenset(), True
             self.patches[mine[0]].cells |= set(part)
 
-    def set_right(self, number: int, walker: Walker, leg: list[Cell], news: set[Cell], near: set[Cell]) -> None:
+    def repair_plan(self, number: int, walker: Walker, leg: list[Cell], news: set[Cell], near: set[Cell]) -> None:
         if not self.left(walker.patch):
             self.patches[walker.patch].over, walker.way = True, []
             self.allocate(number, walker, share=True)
@@ -144,7 +144,7 @@ class Twin(Paper):
         elif walker.doing == "covering":
             walker.way = list(leg)
             self.cover(walker, leg[-1])
-        self.settle(number, walker)
+        self.after_move(number, walker)
 
 
 # Threats that change with time, by everything that can happen: a closed loop by the paper's rule, and given paths.
@@ -187,9 +187,9 @@ class Timed(Twin):
         end = super().ended()
         return "" if end == "no_progress" and waits else end
 
-    def look_about(self) -> None:
+    def sense_cells(self) -> None:
         self.true = getattr(self, "levels", {}).get(self.step + 1, self.true)
-        super().look_about()
+        super().sense_cells()
 
 
 def met(maps: list[tuple[int, np.ndarray]], step: int, cell: Cell) -> float:
@@ -277,13 +277,13 @@ class Following(Paper):
             return super().decide(number)
         walker.path.append(walker.way.pop(0))  # a step of waiting
         self.moved = True
-        self.settle(number, walker)
+        self.after_move(number, walker)
         return None
 
-    def settle(self, number: int, walker: Walker) -> None:
+    def after_move(self, number: int, walker: Walker) -> None:
         if walker.doing == "following" and not walker.way:
             self.allocate(number, walker, share=True)
-        super().settle(number, walker)
+        super().after_move(number, walker)
 
     def lose(self, number: int) -> None:
         super().lose(number)
@@ -349,9 +349,9 @@ class Homing(Timed):
     # --- what it can afford ---
 
     def offers(self, walker: Walker, areas: Iterable[int]) -> Iterator[tuple[Any, int, int, Cell]]:
-        return (offer for offer in super().offers(walker, areas) if self.affords(walker, offer[-1]))
+        return (offer for offer in super().offers(walker, areas) if self.is_within_range(walker, offer[-1]))
 
-    def affords(self, walker: Walker, target: Cell) -> bool:
+    def is_within_range(self, walker: Walker, target: Cell) -> bool:
         number = self.team.index(walker)
         h = self.far(number, target)
         moves = min(self.left_moves[number], self.last - self.step)
@@ -366,7 +366,7 @@ class Homing(Timed):
         leg = walker.way if walker.doing == "traveling" else walker.way[: ends[0] + 1]
         return all(self.far(number, cell) <= moves - k for k, cell in enumerate(leg, 1))
 
-    def turn_home(self, number: int, *, charged: bool) -> None:
+    def start_return(self, number: int, *, charged: bool) -> None:
         walker = self.team[number]
         self.charges[number] = charged and self.recharge > 0 and self.left_moves[number] < self.limit[number]
         self.lay_down(walker)
@@ -393,7 +393,7 @@ class Homing(Timed):
             return False
         if not any(self.nearest(walker.at, n) for n in self.open()):
             return False
-        self.turn_home(number, charged=True)
+        self.start_return(number, charged=True)
         return True
 
     # --- a turn ---
@@ -405,13 +405,13 @@ class Homing(Timed):
             if self.step >= self.ready[number]:
                 self.left_moves[number], self.turned[number], walker.doing = self.limit[number], False, "idle"
                 self.allocate(number, walker, share=True)
-                self.settle(number, walker)
+                self.after_move(number, walker)
             walker.path.append(walker.at)
             return None
         if self.step > 0 and walker.doing in WORKING:
             moves = self.left_moves[number]
             if not self.goes_on(number, min(moves, self.last - self.step + 1)):
-                self.turn_home(number, charged=not self.goes_on(number, moves))
+                self.start_return(number, charged=not self.goes_on(number, moves))
         waits = walker.doing in ("idle", "done") and (self.turned[number] or not self.left_moves[number])
         if self.step > 0 and (waits or walker.doing == "charging"):
             walker.path.append(walker.at)
@@ -425,7 +425,7 @@ class Homing(Timed):
         self.left_moves[number] -= self.step > 0
         super().enter(number)
 
-    def settle(self, number: int, walker: Walker) -> None:
+    def after_move(self, number: int, walker: Walker) -> None:
         if walker.doing == "returning":
             if self.far(number, walker.at) == 0:
                 self.arrive(number)
@@ -433,16 +433,16 @@ class Homing(Timed):
                 walker.doing, walker.way = "done", []
         elif not self.left_moves[number] and walker.doing in WORKING:
             if self.far(number, walker.at) == 0:
-                self.turn_home(number, charged=True)
+                self.start_return(number, charged=True)
             else:
                 self.lay_down(walker)
         else:
-            super().settle(number, walker)
+            super().after_move(number, walker)
 
     # --- the end of a step ---
 
-    def look_about(self) -> None:
-        super().look_about()
+    def sense_cells(self) -> None:
+        super().sense_cells()
         for number, walker in enumerate(getattr(self, "turned", ()) and self.team):
             if walker.doing == "returning":
                 walker.way = self.way_home(number, walker.at)
@@ -458,7 +458,7 @@ class Homing(Timed):
                 walker.doing = "done"
             late = walker.doing in ("idle", "done") and 0 < self.far(number, walker.at) >= self.last - self.step
             if self.can_act(number) and (self.over or late):
-                self.turn_home(number, charged=False)
+                self.start_return(number, charged=False)
         away = any(walker.doing == "returning" for walker in self.team)
         dead = all(walker.doing == "dead" for walker in self.team)
         ended = "all_robots_lost" if dead else "" if away else self.over
@@ -581,12 +581,12 @@ class Pupil(Twin):
             self.passed[cell] += 1
         super().survive(number)
 
-    def look_about(self) -> None:
+    def sense_cells(self) -> None:
         for number, walker in enumerate(self.team):
             if self.detector and walker.doing != "dead":
                 self.read(number, walker)
         self.true |= {c: self.level(c) for c in self.chance}
-        super().look_about()
+        super().sense_cells()
 
     def read(self, number: int, walker: Walker) -> None:
         reach, b, a = self.detector

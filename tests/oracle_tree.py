@@ -48,7 +48,7 @@ def plain_run(plan: Plan, world: World) -> Paper:
     policy, transit, last, density, levels = asked
     plain = Settings(policy=policy, transit=transit, max_steps=last, density=density, levels=levels)
     odd = world.knowledge, world.doubt, world.value, world.types, world.movers, plan.state
-    if settings != plain or policy not in RULES or plan.is_foreign or any(one is not None for one in odd):
+    if settings != plain or policy not in RULES or plan.is_external or any(one is not None for one in odd):
         raise ValueError("the plain oracle knows `mrac` and `per_cell` alone, without limits, on a map that is known")
     starts = [(row, col) for row, col in plan.starts.tolist()]
     run = RULES[policy](world.threat.astype(np.float64), starts, plain_areas(plan), last, inside=transit == "area")

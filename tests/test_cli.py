@@ -857,7 +857,9 @@ def test_what_a_command_needs(words: str, said: str, capfd: pytest.CaptureFixtur
 
 def test_a_scenario_is_no_sweep(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "field.yaml").write_text("map: field.npy\n")
-    assert "use it in a sweep file with `base: {input: field.yaml}`" in error_of(capfd, "sweep", str(tmp_path / "field.yaml"))
+    assert "use it in a sweep file with `base: {input: field.yaml}`" in error_of(
+        capfd, "sweep", str(tmp_path / "field.yaml")
+    )
 
 
 # Tables on narrow consoles: figures and names stay whole, what is left out is said, the rest stands in blocks.

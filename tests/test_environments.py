@@ -17,7 +17,7 @@ from helpers import assert_same_trace
 import mrac_jax as mrac
 from analysis.policy_evaluation.policy_evaluation import roll_policy
 from analysis.sampling import RolloutChoices, make_singles
-from mrac_jax.arrays import tolerance_words
+from mrac_jax.arrays import threshold_pairs
 from mrac_jax.env.area_env import COLUMNS, AreaEnv
 from mrac_jax.env.coverage_env import ACTIONS, AT_ONCE, PLANES, CoverageEnv, State
 from planner.errors import InputError
@@ -29,7 +29,7 @@ from planner.rollouts.single_run import PythonLoop
 from planner.settings import Policy, Settings
 from planner.simulator.codes import Outcome
 from planner.simulator.offers import Offer
-from planner.simulator.thresholds import tolerance_of
+from planner.simulator.thresholds import threshold_of
 from planner.world.changing_maps import with_hazard
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
@@ -102,8 +102,8 @@ def equal(one: Any, other: Any) -> bool:
 def test_tolerances_are_those_of_the_plain_numbers() -> None:
     words = np.random.default_rng(0).integers(0, 2**32, 5000, dtype=np.uint32)
     words[:3] = 0, 1, 2**32 - 1
-    high, low = np.asarray(jax.jit(tolerance_words)(words)).astype(np.int64).T
-    assert ((high << 32 | low) == tolerance_of(words)).all()
+    high, low = np.asarray(jax.jit(threshold_pairs)(words)).astype(np.int64).T
+    assert ((high << 32 | low) == threshold_of(words)).all()
 
 
 def test_transitions_are_those_of_the_plain_rules() -> None:

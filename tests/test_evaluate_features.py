@@ -18,15 +18,15 @@ from test_page import unpacked_runs as unpacked
 from test_record import decoded
 
 import mrac_jax as mrac
-from analysis.estimators.racing import MOST_MAPS, told_of_hazards
+from analysis.estimators.racing import MOST_MAPS, sample_with_known_hazards
 from analysis.evaluation.evaluate import Evaluation
 from analysis.evaluation.figures import BEFORE, BEYOND, TO_DO, rest_of
 from analysis.evaluation.layers import run_of, runs
 from analysis.evaluation.outputs.information import Knowledge, entropy_of, parse_ranges
-from analysis.evaluation.report import report, rest_words
+from analysis.evaluation.report import remainder_text, report
 from analysis.evaluation.tables import threats
 from analysis.inputs import Asked, load_task
-from analysis.pictures import house_style
+from analysis.pictures import picture_style
 from analysis.recording.pictures import RolloutPicture
 from analysis.recording.replay import replay
 from analysis.recording.viewers.topics import Stage
@@ -39,7 +39,7 @@ from planner.formatting import percent
 from planner.plan.plan import Plan, is_certain
 from planner.plan.state import MissionState
 from planner.plan.state_file import load_state
-from planner.rollout_sampling import hazards_met, rows_met, ways_of_movers
+from planner.rollout_sampling import hazards_met, rows_met, threat_paths
 from planner.rollouts.closed_loop import compile_closed_loop, trace_rollouts
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.single_run import PythonLoop
@@ -401,7 +401,9 @@ def test_sure_stops_are_told_too_and_consumed_ones_vanish():
     for kind in ("persistent", "consumed"):
         world = SITE.with_latent_hazard(kind, Q, 1.0, learn=True)
         plan = mrac.plan(world, 2)
-        told = told_of_hazards(world, plan, mrac.evaluate(world, plan, rollouts=50, **QUIET_EXPERIENCE).choices, 20)
+        told = sample_with_known_hazards(
+            world, plan, mrac.evaluate(world, plan, rollouts=50, **QUIET_EXPERIENCE).choices, 20
+        )
         assert told.rollouts == 20
         assert told.tally.visited @ np.arange(len(told.tally.visited)) / 20 > 10
 
@@ -537,7 +539,7 @@ def test_a_page_plays_the_movers_of_its_runs(world: World) -> None:
     assert "movers" not in plan and len(rolled) == 3
     for run in rolled:
         moving = run["movers"] | {"time": run["time"]}
-        ways = [ways_of_movers(world, 0, one, run["time"] + 1) for one in range(60)]
+        ways = [threat_paths(world, 0, one, run["time"] + 1) for one in range(60)]
         assert any(np.array_equal(unpacked(moving, 5), way) for way in ways)
 
 
@@ -546,7 +548,7 @@ def test_a_recording_shows_where_movers_are(world: World, tmp_path: Path) -> Non
     mrac.record(world, 2, path, ids=[4], seed=2)
     by_topic = decoded(path)
     steps = [step for _, step in by_topic["/rollout/step"]]
-    expected = world.to_xy(ways_of_movers(world, 2, 4, len(steps)))
+    expected = world.to_xy(threat_paths(world, 2, 4, len(steps)))
     scenes = [scene for _, scene in by_topic["/movers/markers"]]
     found = [[(p.x, p.y) for p in (e.cubes[0].pose.position for e in scene.entities)] for scene in scenes]
     np.testing.assert_allclose(found, expected)
@@ -621,7 +623,7 @@ def test_a_recording_shows_the_threats_of_its_phase(world_phases: World, tmp_pat
 def test_so_does_a_picture(world_phases: World) -> None:
     plan = mrac.plan(world_phases, robots=2)
     (trace,) = trace_rollouts(compile_closed_loop(plan, world_phases), 0, [1])
-    with house_style():
+    with picture_style():
         picture, shown = RolloutPicture(trace, Stage(world_phases, plan, "closed", 0), 60), []
         for step in (0, 2, 3):
             picture.show(step)
@@ -686,7 +688,7 @@ def test_what_is_too_far_is_further_than_every_robot_has_moves_for(moves: tuple[
     np.testing.assert_array_equal(rest.kinds == BEYOND, accessible & ~near[0] & ~near[1])
     answer = mrac.evaluate(WORLD, plan, **QUIET_REST)  # type: ignore[arg-type]
     assert not answer.expected.visited_by_cell[(rest.kinds == BEYOND).ravel()].any()
-    said = list(rest_words(answer, rest))
+    said = list(remainder_text(answer, rest))
     assert f"{int((rest.kinds == BEYOND).sum())} accessible cells" in said[0] and "are too far for" in said[0]
     who = {0: "no robot uses", 1: "1 of 2 robots uses", 2: "both robots use"}[rest.ended]
     assert f"{who} up " in said[1]
@@ -707,7 +709,7 @@ def test_of_robots_that_come_home_the_way_home_counts(moves: tuple[int, int], to
     np.testing.assert_array_equal(rest.kinds == BEYOND, beyond)
     answer = mrac.evaluate(WORLD, plan, **QUIET_REST)  # type: ignore[arg-type]
     assert not answer.expected.visited_by_cell[beyond.ravel()].any()
-    (said,) = rest_words(answer, rest)
+    (said,) = remainder_text(answer, rest)
     if beyond.any():
         assert f"{beyond.sum()} accessible cells" in said
         assert said.endswith("too far for any robot to visit and return.")
@@ -734,7 +736,7 @@ def test_a_state_is_told_and_drawn_and_whole_missions_are_as_they_were(tmp_path:
     assert np.flatnonzero(rest.kinds == BEFORE).tolist() == [0, 1, 18, 27, 36]
     cells = int(WORLD.accessible(WORLD.starts).sum())
     left = answer.expected.visited_by_cell[(rest.kinds == TO_DO).ravel()].sum()
-    (said,) = rest_words(answer, rest)
+    (said,) = remainder_text(answer, rest)
     assert (
         said.startswith(f"By step 7, where this plan resumes, 5 of {cells} accessible cells")
         and "1 of 2 robots lost" in said

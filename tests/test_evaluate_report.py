@@ -19,18 +19,18 @@ from analysis.evaluation.evaluate import Evaluation, cut_off, evaluate
 from analysis.evaluation.figures import Chance, sampled_share
 from analysis.evaluation.outputs.over_time import BAND_LEAST, BAND_MOST, SHARE, STEPS, Band
 from analysis.evaluation.report import (
-    assured_words,
-    cell_words,
-    chances_words,
-    gain_words,
+    assured_text,
+    cells_text,
+    completion_text,
+    gain_text,
     headline,
-    home_words,
-    interval_words,
-    losses_words,
-    quantile_words,
+    interval_text,
+    losses_text,
+    quantile_text,
+    return_text,
 )
 from analysis.evaluation.report import report as evaluation_report
-from analysis.evaluation.tables import WORDS, answer_tables, formula_counts, formulas_words, over_time
+from analysis.evaluation.tables import WORDS, answer_tables, formula_counts, formulas_text, over_time
 from analysis.page.document import curves_html
 from analysis.report.answer import print_report
 from analysis.sampling import RolloutChoices, make_roll_out
@@ -38,25 +38,25 @@ from analysis.statistics.estimates import (
     QUANTILES,
     Estimate,
     between,
+    difference_text,
     digits_of,
     exactly,
     in_unit,
-    losses_said,
+    losses_sentence,
     losses_shown,
-    lost_words,
-    more_said,
+    lost_text,
     proportion,
     quantile,
-    robots_words,
+    robots_text,
 )
 from analysis.sweeps.report import around as sweep_around
 from analysis.sweeps.report import percent as sweep_percent
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import Verdict, overall
-from analysis.utils.tables import as_text, plan_words, span_words, without_level
+from analysis.utils.tables import as_text, plan_text, span_text, without_level
 from planner.formatting import (
     UNPACED,
-    at_least_words,
+    at_least_text,
     ceiled,
     chance,
     counted,
@@ -120,7 +120,7 @@ SAID = {
 
 @pytest.mark.parametrize("alive", SAID)
 def test_losses_in_words(alive: tuple[int, ...]) -> None:
-    assert losses_words(evaluation_of(list(alive))) == SAID[alive]
+    assert losses_text(evaluation_of(list(alive))) == SAID[alive]
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_a_robot_lost_before_the_runs_is_told_apart(alive: tuple[int, ...], said
     robots = tuple(RobotState(0, status, -1, NO_CELLS, NO_CELLS, 0, False) for status in ("dead", "idle", "idle"))
     state = MissionState(whole.world.shape, whole.world.sha256, 0, np.array([0]), np.array([0]), robots)
     rest = replace(whole, plan=replace(whole.plan, state=state))
-    assert losses_words(rest) == f"{said} 1 robot was lost before."
+    assert losses_text(rest) == f"{said} 1 robot was lost before."
 
 
 HEADLINES = {
@@ -189,8 +189,8 @@ def test_what_19_of_20_runs_reach_is_rounded_downwards() -> None:
     for least, said in ((9, "100 %"), (8, "88.8 %"), (5, "55.5 %")):
         found = replace(whole)
         vars(found)["shown"] = replace(whole.shown, assured=least)
-        assert assured_words(found) == said and f"(at least {said} in 19 of 20 runs)" in headline(found)
-        assert '"in 19 of 20 runs" in the first line' in quantile_words(found)
+        assert assured_text(found) == said and f"(at least {said} in 19 of 20 runs)" in headline(found)
+        assert '"in 19 of 20 runs" in the first line' in quantile_text(found)
 
 
 def test_nothing_is_added_to_a_mean_that_every_run_reaches() -> None:
@@ -198,7 +198,7 @@ def test_nothing_is_added_to_a_mean_that_every_run_reaches() -> None:
     for world in ([[0, 0, 0, 0, 0.3]], [[0, 0], [np.nan, 0.2]]):
         answer = mrac.evaluate(mrac.load(world), 1, rollouts=500, advice=False, band=False)
         assert headline(answer).startswith("1 robot visits 100 % (exact) of the accessible cells on average and is ")
-        assert quantile_words(answer) == "", "the first line says nothing of 19 of 20 runs"
+        assert quantile_text(answer) == "", "the first line says nothing of 19 of 20 runs"
 
 
 def test_the_level_of_every_interval_is_said() -> None:
@@ -215,10 +215,10 @@ def test_the_level_of_every_interval_is_said() -> None:
         found = replace(whole)
         mean = estimate.times(whole.tally.accessible)
         vars(found)["shown"] = replace(whole.shown, visited=replace(whole.shown.visited, mean=mean))
-        assert f" {said} the accessible cells" in headline(found) and interval_words(found) == notes
+        assert f" {said} the accessible cells" in headline(found) and interval_text(found) == notes
     found = mrac.evaluate(mrac.load([[0, 0, 0, 0.3, 0]]), 2, rollouts=12, advice=False, band=False, exact="never")
-    assert re.search(r"gains \d+ points ± \d+ over .* \(94\.0 %, exact\)\.$", gain_words(found))
-    assert " or more) of" in headline(found) and interval_words(found) == f"{half} {ends}"
+    assert re.search(r"gains \d+ points ± \d+ over .* \(94\.0 %, exact\)\.$", gain_text(found))
+    assert " or more) of" in headline(found) and interval_text(found) == f"{half} {ends}"
 
 
 def test_the_last_move_is_told_only_where_nobody_waits_for_news() -> None:
@@ -235,7 +235,7 @@ def test_the_last_move_is_told_only_where_nobody_waits_for_news() -> None:
         (world.with_phases([(9, later)]), "a run takes 9 steps"),
     ):
         answer = mrac.evaluate(asked, mrac.plan(asked, 1, policy="per_cell", robot_value=4), rollouts=64, advice=False)
-        assert chances_words(answer) == f"Every accessible cell is visited in no run; {said} on average."
+        assert completion_text(answer) == f"Every accessible cell is visited in no run; {said} on average."
 
 
 def test_the_headline_of_what_is_left_of_a_mission_speaks_of_the_robots_that_were_left() -> None:
@@ -248,7 +248,7 @@ def test_the_headline_of_what_is_left_of_a_mission_speaks_of_the_robots_that_wer
 
 def test_no_robot_can_be_lost_without_danger() -> None:
     assert headline(evaluation_of([0, 0, 9], threat=0.0)).endswith(" on average and no robot can be lost.")
-    assert losses_words(evaluation_of([0, 0, 9], threat=0.0)) == "No robot can be lost."
+    assert losses_text(evaluation_of([0, 0, 9], threat=0.0)) == "No robot can be lost."
 
 
 def test_every_printed_share_of_losses_follows_from_the_tally() -> None:
@@ -261,7 +261,7 @@ def test_every_printed_share_of_losses_follows_from_the_tally() -> None:
         alive = rng.multinomial(runs, rng.dirichlet(np.full(robots + 1, rng.choice([1e-3, 0.05, 1.0]))))
         evaluation = known[robots]
         evaluation = replace(evaluation, tally=replace(evaluation.tally, alive=alive, ids=((0, runs),)))
-        said = losses_words(evaluation)
+        said = losses_text(evaluation)
         for words, count in ((r"(?:robots? are|The robot is|are)", alive[0]), (r"(?:[Nn]o robot is)", alive[-1])):
             for found in re.findall(rf"{words}(?: lost)? in ([<>]? ?[\d.]+) %", said):
                 check_share(found, int(count), runs)
@@ -311,11 +311,11 @@ def test_a_share_has_no_more_digits_than_its_interval_bears() -> None:
 
 
 def test_means_are_never_rounded_to_none_or_all() -> None:
-    assert [lost_words(mean, 8) for mean in (0.0, 1e-9, 0.0049, 0.006, 4.0, 7.994, 7.9951, 8 - 1e-9, 8.0)] == [
+    assert [lost_text(mean, 8) for mean in (0.0, 1e-9, 0.0049, 0.006, 4.0, 7.994, 7.9951, 8 - 1e-9, 8.0)] == [
         "none of 8", "almost none of 8", "almost none of 8", "0.01 of 8", "4.00 of 8", "7.99 of 8", "almost all 8",
         "almost all 8", "all 8",
     ]  # fmt: skip
-    assert [lost_words(1.0, 1), lost_words(0.999, 1), lost_words(1.999, 2)] == [
+    assert [lost_text(1.0, 1), lost_text(0.999, 1), lost_text(1.999, 2)] == [
         "the robot", "almost always the robot", "almost both robots",
     ]  # fmt: skip
 
@@ -363,17 +363,17 @@ def test_chances_in_words() -> None:
     known = evaluation_of([30, 10])
     cells, tally = known.tally.accessible, known.tally
     assert (
-        chances_words(known)
+        completion_text(known)
         == "Every accessible cell is visited in each of the 40 runs; a run takes 3 steps on average."
     )
     outcomes = tally.outcomes.copy()
     outcomes[Outcome.COMPLETE], outcomes[Outcome.ALL_ROBOTS_LOST] = 0, 40
     none = replace(known, tally=replace(tally, outcomes=outcomes))
-    assert chances_words(none).startswith("Every accessible cell is visited in none of the 40 runs;")
+    assert completion_text(none).startswith("Every accessible cell is visited in none of the 40 runs;")
     outcomes = outcomes.copy()
     outcomes[Outcome.COMPLETE], outcomes[Outcome.ALL_ROBOTS_LOST] = 10, 30
     some = replace(known, tally=replace(tally, outcomes=outcomes))
-    assert chances_words(some).startswith("Every accessible cell is visited in 25 % of runs;")
+    assert completion_text(some).startswith("Every accessible cell is visited in 25 % of runs;")
     assert cells == 9
 
 
@@ -395,13 +395,13 @@ def test_one_cell_takes_and_two_take() -> None:
     }
     for (stops, covered), said in cases.items():
         tally = replace(known.tally, stops=np.array([*stops, *[0] * 6]), covered_visited=np.array([*covered, *[8] * 7]))
-        words = " ".join(cell_words(replace(known, tally=tally)))
+        words = " ".join(cells_text(replace(known, tally=tally)))
         assert all(part in words for part in said)
 
 
 def test_one_line_says_how_many_formulas_hold_and_fail() -> None:
     known = evaluation_of([30, 10, 0])
-    counts, said = formula_counts(known), formulas_words(known)
+    counts, said = formula_counts(known), formulas_text(known)
     assert f"Of the paper's {sum(counts.values())} formulas" in said
     assert f"{counts[Verdict.HOLDS]} hold" in said and f"{counts[Verdict.FAILS]} fail" in said
     assert WORDS[overall([])] == ""
@@ -409,8 +409,8 @@ def test_one_line_says_how_many_formulas_hold_and_fail() -> None:
 
 def test_what_a_plan_is_has_words_and_no_codes() -> None:
     plan = make_plan(World.create([[0.0, 0.2, 0.0]]), [[0, 0]])
-    assert plan_words(plan) == "3 areas; if no robot is lost, the mission visits every accessible cell"
-    shared = plan_words(replace(plan, shares=10, outcome="not_worth_the_risk"))
+    assert plan_text(plan) == "3 areas; if no robot is lost, the mission visits every accessible cell"
+    shared = plan_text(replace(plan, shares=10, outcome="not_worth_the_risk"))
     said = "if no robot is lost, the mission ends because the rest is not worth the risk"
     assert shared == f"3 areas, shared 10 times; {said}"
     for outcome in Outcome:
@@ -424,7 +424,7 @@ def test_a_plan_says_its_policy_and_whether_robots_come_home() -> None:
     settings = Settings(policy="watchful", risk_cap=0.5, return_to="home", range=4)
     plan = make_plan(world, [[0, 0]], settings)
     ended = f"the mission {NO_MORE}"
-    assert plan_words(plan) == f"watchful, risk cap 0.5; 3 areas; if no robot is lost, {ended}"
+    assert plan_text(plan) == f"watchful, risk cap 0.5; 3 areas; if no robot is lost, {ended}"
     (table, *_) = answer_tables(mrac.evaluate(world, plan, rollouts=64, advice=False))
     assert f"chance that it {NO_MORE}" in list(table.columns[0].cells)
 
@@ -465,7 +465,7 @@ def test_no_end_is_named_after_the_deadline() -> None:
     plan = make_plan(world, np.array([[0, 0]]), Settings(return_to="home", deadline=6))
     assert plan.time == 6
     plan = replace(plan, outcome="no_progress")  # as where the last one is back in the last step
-    assert span_words(plan, world.pace) == "the last move is at step 6, 6 moves, 2 quarter turns"
+    assert span_text(plan, world.pace) == "the last move is at step 6, 6 moves, 2 quarter turns"
 
 
 @pytest.mark.parametrize("robots", [2, 3])
@@ -473,7 +473,7 @@ def test_who_always_comes_home_is_said_in_good_words(robots: int) -> None:
     world = World.create(np.zeros((1, 9)))
     plan = mrac.plan(world, robots, return_to="home")
     answer = mrac.evaluate(world, plan, rollouts=64, advice=False, exact="never")
-    assert home_words(answer).startswith(f"On average {'both' if robots == 2 else 'all 3'} robots return to base, all")
+    assert return_text(answer).startswith(f"On average {'both' if robots == 2 else 'all 3'} robots return to base, all")
 
 
 def test_the_end_that_a_plan_names_is_that_of_its_rollouts() -> None:
@@ -484,7 +484,7 @@ def test_the_end_that_a_plan_names_is_that_of_its_rollouts() -> None:
         (1000.0, "the last move is at step 2, the end 2 steps later, 2 moves, 0 quarter turns"),
     ):
         plan = make_plan(world, np.array([[0, 0]]), Settings(policy="per_cell", robot_value=robot_value))
-        assert span_words(plan, world.pace) == said
+        assert span_text(plan, world.pace) == said
         ended = mrac.evaluate(world, plan, rollouts=64, advice=False).tally.time
         assert plan.makespan + (2 if robot_value else 0) == len(ended) - 1
 
@@ -557,15 +557,15 @@ def test_sweeps_say_times_and_shares_by_the_same_rule() -> None:
 
 def test_almost_none_is_said_only_of_what_rounds_to_it() -> None:
     """Five rollouts that lose 0.2 of 2 on average: their interval allows no decimal, and it is said."""
-    assert (lost_words(0.2, 2, 0), lost_words(1.7, 2, 0), lost_words(0.0049, 2, 0)) == (
+    assert (lost_text(0.2, 2, 0), lost_text(1.7, 2, 0), lost_text(0.0049, 2, 0)) == (
         "0.2 of 2", "1.7 of 2", "almost none of 2",
     )  # fmt: skip
-    said = losses_words(evaluation_of([0, 1, 4]))
+    said = losses_text(evaluation_of([0, 1, 4]))
     assert re.fullmatch(r"No robot is lost in 80 % of runs; on average 0\.2 of 2 \([\d.]+ or fewer\)\.", said)
-    assert losses_said(Estimate(0.2, 0.3, (0.0, 1.5)), 2) == "0.2 (1.5 or fewer, 95 %) robots"
-    assert losses_said(Estimate(0.01, 0.01, (0.0, 0.03)), 1) == "0.01 (0.03 or fewer, 95 %) robots"
-    assert losses_said(Estimate(0.0, 0.0, (0.0, 0.03)), 1) == robots_words(0.0, 1) == "no robot"
-    assert (robots_words(0.2, 1), robots_words(1.87, 5), robots_words(5.0, 5), robots_words(2.0, 2)) == (
+    assert losses_sentence(Estimate(0.2, 0.3, (0.0, 1.5)), 2) == "0.2 (1.5 or fewer, 95 %) robots"
+    assert losses_sentence(Estimate(0.01, 0.01, (0.0, 0.03)), 1) == "0.01 (0.03 or fewer, 95 %) robots"
+    assert losses_sentence(Estimate(0.0, 0.0, (0.0, 0.03)), 1) == robots_text(0.0, 1) == "no robot"
+    assert (robots_text(0.2, 1), robots_text(1.87, 5), robots_text(5.0, 5), robots_text(2.0, 2)) == (
         "0.20 of 1 robot", "1.87 of 5 robots", "all 5 robots", "both robots",
     )  # fmt: skip
 
@@ -591,12 +591,12 @@ def test_what_was_cut_off_and_lost_agrees_with_its_number() -> None:
 def test_numbers_and_their_things_agree() -> None:
     assert (counted(1.0, "step"), counted(1.5, "step"), counted(1, "map")) == ("1 step", "1.5 steps", "1 map")
     assert (UNPACED.steps(1.2), UNPACED.steps(13.6), UNPACED.step(12.4)) == ("1 step", "14 steps", "step 12")
-    said = [at_least_words(*of) for of in ((1, 3), (2, 3), (3, 3), (1, 1))]
+    said = [at_least_text(*of) for of in ((1, 3), (2, 3), (3, 3), (1, 1))]
     assert said == ["at least 1 robot is", "at least 2 robots are", "every robot is", "the robot is"]
     plan = make_plan(World.create([[0.0, 0.2, 0.0]]), [[0, 0]])
-    assert ", shared once; " in plan_words(replace(plan, shares=1))
+    assert ", shared once; " in plan_text(replace(plan, shares=1))
     two = make_plan(World.create([[0.0, 0.0]]), [[0, 0]])
-    assert span_words(two, UNPACED) == "makespan 1 step, 1 move, 0 quarter turns"
+    assert span_text(two, UNPACED) == "makespan 1 step, 1 move, 0 quarter turns"
 
 
 def test_where_most_robots_are_lost_is_compared_with_the_other_cells() -> None:
@@ -607,7 +607,7 @@ def test_where_most_robots_are_lost_is_compared_with_the_other_cells() -> None:
         ((0, 8, 0), "Robots are lost in row 0, column 1 alone: 1 a run."),
     ):
         tally = replace(known.tally, stops=np.array([*stops, *[0] * 6]))
-        assert next(cell_words(replace(known, tally=tally))).startswith(said)
+        assert next(cells_text(replace(known, tally=tally))).startswith(said)
 
 
 @pytest.mark.parametrize(
@@ -620,14 +620,16 @@ def test_where_most_robots_are_lost_is_compared_with_the_other_cells() -> None:
 def test_cells_out_of_reach_are_counted_in_good_words(cut: int, said: str) -> None:
     world = World.create([[0.0, 0.2, np.nan, *[0.0] * cut]])
     answer = mrac.evaluate(world, mrac.plan(world, starts=[[0, 0]]), rollouts=64, advice=False)
-    assert any(line.startswith(said) for line in cell_words(answer))
+    assert any(line.startswith(said) for line in cells_text(answer))
 
 
 def test_what_costs_less_than_nothing_is_said_the_other_way_round() -> None:
     words = ("not knowing it costs", "robots that do not know it visit")
-    assert more_said(exactly(0.041), *words) == "not knowing it costs 4.10 points (exact)"
-    assert more_said(exactly(-0.0049), *words) == "robots that do not know it visit 0.49 points more (exact)"
-    less = more_said(Estimate(-0.02, 0.005, (-0.03, -0.01)), "the sensor gains", "robots with a sensor visit", "less")
+    assert difference_text(exactly(0.041), *words) == "not knowing it costs 4.10 points (exact)"
+    assert difference_text(exactly(-0.0049), *words) == "robots that do not know it visit 0.49 points more (exact)"
+    less = difference_text(
+        Estimate(-0.02, 0.005, (-0.03, -0.01)), "the sensor gains", "robots with a sensor visit", "less"
+    )
     assert less == "robots with a sensor visit 2 points less ± 1 (95 %)"
 
 
@@ -662,7 +664,7 @@ def shown(evaluation: Evaluation, width: int, theory: bool = False) -> str:
 def test_the_answer_losses_chances_and_time_come_first(loop: str, answers: dict[str, Evaluation]) -> None:
     answer = answers[loop]
     said = shown(answer, 200)
-    wanted = [headline(answer), "Chances in %", "time, steps", "Coverage, %", losses_words(answer),
+    wanted = [headline(answer), "Chances in %", "time, steps", "Coverage, %", losses_text(answer),
               "accessible,", "makespan", "rollouts,"]  # fmt: skip
     places = [said.index(words) for words in wanted]
     assert places == sorted(places) and places[0] == 0
@@ -672,7 +674,7 @@ def test_formulas_are_listed_only_when_asked_for(answers: dict[str, Evaluation])
     answer = answers["closed"]
     assert "Theorem 3" not in shown(answer, 200) and "FAILS" not in shown(answer, 200)
     assert "formula" not in shown(answer, 200), "no concern of who asks for coverage"
-    assert formulas_words(answer) in shown(answer, 200, theory=True)
+    assert formulas_text(answer) in shown(answer, 200, theory=True)
     listed = shown(answer, 200, theory=True)
     assert listed.count("Theorem 3") == 4 and "eq. (2) as printed" in listed and "--theory" not in listed
 

@@ -22,7 +22,7 @@ from analysis.cli.app import run
 from analysis.comparison import compare, make_side
 from analysis.estimators.trial import SLACK, _loop_of, tree_of
 from analysis.evaluation.evaluate import TO_LOOK_AT, evaluate
-from analysis.evaluation.report import chances_words, losses_words, report, to_json
+from analysis.evaluation.report import completion_text, losses_text, report, to_json
 from analysis.evaluation.tables import distribution, histogram_bins
 from analysis.report.answer import print_report
 from analysis.sampling import RolloutChoices
@@ -168,7 +168,7 @@ def test_a_large_safe_map_is_answered_without_compiled_rollouts(monkeypatch: pyt
     def refuse(*given: object) -> None:
         raise AssertionError("rolled out by compiled code")
 
-    monkeypatch.setattr(closed_loop, "run_sets", refuse)
+    monkeypatch.setattr(closed_loop, "run_rollouts", refuse)
     monkeypatch.setattr(closed_loop, "on_threads", refuse)
     world = World.create(np.zeros((120, 100)))
     plan = make_plan(world, place_starts(world, 3)[0])
@@ -274,7 +274,7 @@ def test_sentences_say_the_exact_value_where_it_is_known() -> None:
     robots, steps = answer.exact, f"{answer.exact.time:,.0f} steps on average"
     lost, sampled = f"{3 - robots.alive:.2f}", f"{answer.tally.alive @ np.arange(3, -1, -1) / 64:.2f}"
     assert lost != sampled, "a seed whose luck shows"
-    assert f"on average {lost} of 3" in losses_words(answer) and steps in chances_words(answer)
+    assert f"on average {lost} of 3" in losses_text(answer) and steps in completion_text(answer)
     assert any(tile.value == f"{lost} of 3" for tile in report(answer).figures)
     shown = as_text(lambda console: print_report(report(answer), console))
     row = next(line for line in shown.splitlines() if line.startswith("  robots lost "))
@@ -312,7 +312,7 @@ def test_chances_and_quantiles_are_those_of_a_brute_force_enumeration(seed: int)
     assert said["complete"]["mean"] == close(oracle.complete)
     assert found.assured == np.searchsorted(np.cumsum(oracle.visited_chance), 0.05 - 1e-9)
     assert found.complete.columns() == (f"{100 * oracle.complete:.2f}", "exact")
-    assert f"Every accessible cell is visited in {100 * oracle.complete:.2f} % of runs" in chances_words(answer)
+    assert f"Every accessible cell is visited in {100 * oracle.complete:.2f} % of runs" in completion_text(answer)
     steps, bars = distribution(answer)
     edges = histogram_bins(found.visited.counts)
     heights = np.histogram(np.arange(cells + 1), bins=edges, weights=oracle.visited_chance)[0]

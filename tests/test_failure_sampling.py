@@ -28,14 +28,14 @@ from analysis.theory.exact import open_loop_exact
 from planner.errors import PER_VISIT, InputError, PlanError, ScenarioError, StateError
 from planner.failure_model import (
     PLAIN,
-    Bearing,
+    FailureModel,
     exposure_of,
     key_of,
-    key_of_luck,
     least_word,
     susceptible,
+    threshold_key,
     tolerances,
-    wear_nodes,
+    weibull_nodes,
     worn,
 )
 from planner.failure_model import susceptible as made_susceptible
@@ -50,9 +50,9 @@ from planner.rollouts.single_run import PythonLoop
 from planner.settings import Settings
 from planner.simulator import failure_sampling as kernels
 from planner.simulator.codes import Outcome
-from planner.simulator.failure_sampling import MANY, part_many
+from planner.simulator.failure_sampling import MANY, split_many
 from planner.simulator.jit import compiled, program
-from planner.simulator.thresholds import CERTAIN, LEAST, MOST, threefry2x32, tolerance_of, unworn
+from planner.simulator.thresholds import CERTAIN, LEAST, MOST, exp1_hazard, threefry2x32, threshold_of
 from planner.tally import WORDS_OF_0_3, Tally
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
@@ -88,9 +88,9 @@ def world_of(name: str) -> World:
 
 
 def test_words_tolerances_and_exposures_are_the_known_ones() -> None:
-    assert {seed: list(key_of_luck(int(seed))) for seed in WORDS["key"]} == WORDS["key"]
+    assert {seed: list(threshold_key(int(seed))) for seed in WORDS["key"]} == WORDS["key"]
     words, found = np.array(WORDS["tolerance"]).T
-    assert np.array_equal(tolerance_of(words), found)
+    assert np.array_equal(threshold_of(words), found)
     twin = np.zeros_like(found)
     in_kernels(words.astype(np.uint32), found[:0], twin, found[:0])
     assert np.array_equal(twin, found)
@@ -98,7 +98,7 @@ def test_words_tolerances_and_exposures_are_the_known_ones() -> None:
     assert exposure_of(np.array(p, dtype=np.float32)).tolist() == list(found)
     assert exposure_of([np.nan, 0.0, 1.0]).tolist() == [0, 0, CERTAIN]
     drawn = np.array(WORDS["random_seed0_ids0to9_k4"])
-    assert np.array_equal(tolerances(0, range(len(drawn)), 4), tolerance_of(drawn))
+    assert np.array_equal(tolerances(0, range(len(drawn)), 4), threshold_of(drawn))
 
 
 def test_wear_and_susceptibility_are_the_known_ones() -> None:
@@ -113,7 +113,7 @@ def test_wear_and_susceptibility_are_the_known_ones() -> None:
 
 def test_a_tolerance_is_the_logarithm_and_an_exposure_is_rounded_right() -> None:
     words = np.unique(np.concatenate([np.arange(200), 2**32 - 1 - np.arange(200), np.arange(1, 400) * 10_737_400]))
-    found = tolerance_of(words)
+    found = threshold_of(words)
     assert (np.diff(found) < 0).all()
     assert (found[0], found[-1]) == (MOST, LEAST)
     for word, units in zip(words[::7].tolist(), found[::7].tolist(), strict=True):
@@ -128,10 +128,10 @@ def test_the_least_word_that_stops_is_where_tolerances_reach_the_exposure() -> N
     rng = np.random.default_rng(2)
     words = np.concatenate([np.arange(50), 2**32 - 1 - np.arange(50), rng.integers(0, 2**32, 400)])
     for more in (-1, 0, 1):
-        exposure = tolerance_of(words) + more
+        exposure = threshold_of(words) + more
         found = least_word(exposure)
-        assert (tolerance_of(np.minimum(found, 2**32 - 1)) <= exposure)[found < 2**32].all()
-        assert (tolerance_of(np.maximum(found - 1, 0)) > exposure)[found > 0].all()
+        assert (threshold_of(np.minimum(found, 2**32 - 1)) <= exposure)[found < 2**32].all()
+        assert (threshold_of(np.maximum(found - 1, 0)) > exposure)[found > 0].all()
         borne = exposure[exposure > 0]
         twin = np.zeros_like(borne)
         in_kernels(words[:0].astype(np.uint32), borne, borne[:0], twin)
@@ -241,25 +241,25 @@ def counts_of(tally: Tally) -> list[list[int]]:
 @pytest.mark.parametrize("times", [1 / 64, 0.5, 1.0, 1.3, 64.0])
 def test_an_exposure_reaches_the_tolerances_that_wear_brings_down_to_it(shape: float, times: float) -> None:
     words = np.random.default_rng(3).integers(0, 2**32, 3000)
-    drawn = np.concatenate([np.arange(1, 500), tolerance_of(words), [MOST]])
-    units, nodes = round(times * 2**16), wear_nodes(shape)
+    drawn = np.concatenate([np.arange(1, 500), threshold_of(words), [MOST]])
+    units, nodes = round(times * 2**16), weibull_nodes(shape)
 
     def borne(tolerance: np.ndarray) -> np.ndarray:
         return made_susceptible(worn(tolerance, shape), units / 2**16)
 
     for more in (-1, 0, 1):
         exposure = borne(drawn) + more
-        reached = np.minimum(unworn(exposure, nodes, units), MOST)
+        reached = np.minimum(exp1_hazard(exposure, nodes, units), MOST)
         assert (borne(np.maximum(reached, 1)) <= exposure)[reached > 0].all()
         assert (borne(np.minimum(reached + 1, MOST)) > exposure)[reached < MOST].all()
-    assert unworn(np.array([0, CERTAIN, CERTAIN + 2**37]), nodes, units)[0] == 0
-    assert (unworn(np.array([CERTAIN, CERTAIN + 2**37]), nodes, units) >= 2 * MOST).all()
+    assert exp1_hazard(np.array([0, CERTAIN, CERTAIN + 2**37]), nodes, units)[0] == 0
+    assert (exp1_hazard(np.array([CERTAIN, CERTAIN + 2**37]), nodes, units) >= 2 * MOST).all()
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_worn_rollouts_are_those_of_an_independent_simulator(name: str) -> None:
     (world, plan), weibull_shape, seed = worn_plan(name), known(name)["weibull_shape"], known(name)["seed"]
-    found = plan.bearing.tolerances(seed, range(len(weibull_shape["tolerance"])), len(plan.robots))
+    found = plan.failure_model.tolerances(seed, range(len(weibull_shape["tolerance"])), len(plan.robots))
     assert found.tolist() == weibull_shape["tolerance"]
     python, loop = PythonLoop(plan, world), compile_closed_loop(plan, world)
     _, singles = run_range(loop, seed, 0, len(weibull_shape["rollouts"]), singles=True, threads=1)
@@ -323,11 +323,13 @@ def test_the_closed_form_is_everything_that_can_happen_and_what_rollouts_show(sh
 
 
 def test_doses_along_a_path_add_up_and_the_first_visit_is_not_p() -> None:
-    bearing = Bearing(shape=2.0, hazard_multiplier=(1.0, 0.5))
+    failure_model = FailureModel(shape=2.0, hazard_multiplier=(1.0, 0.5))
     for robot, times in enumerate((1.0, 0.5)):
-        assert bearing.first_chance(0.2, robot) == pytest.approx(1 - weibull(-math.log(0.8), 2.0, times), abs=1e-6)
+        assert failure_model.first_chance(0.2, robot) == pytest.approx(
+            1 - weibull(-math.log(0.8), 2.0, times), abs=1e-6
+        )
     assert PLAIN.first_chance(0.2) == pytest.approx(0.2)
-    assert bearing.first_chance(0.2) < 0.2
+    assert failure_model.first_chance(0.2) < 0.2
 
 
 def test_shape_1_and_susceptibility_1_change_no_bit() -> None:
@@ -397,14 +399,14 @@ def test_plan_files_and_paths_of_others_keep_what_robots_bear(tmp_path: Path) ->
     plan = make_plan(ROW, ROW.starts, Settings(weibull_shape=2.0, hazard_multiplier=(1.0, 0.5)))
     plan.save(tmp_path / "plan.json")
     again = read_plan(tmp_path / "plan.json", ROW)
-    assert again.bearing == plan.bearing == Bearing(2.0, (1.0, 0.5))
-    assert again.of_robots(hazard_multiplier=1.0).bearing == Bearing(2.0, 1.0)
+    assert again.failure_model == plan.failure_model == FailureModel(2.0, (1.0, 0.5))
+    assert again.of_robots(hazard_multiplier=1.0).failure_model == FailureModel(2.0, 1.0)
     paths = [[[0, 2], [0, 3], [0, 4]], [[0, 2], [0, 1]]]
     (tmp_path / "paths.json").write_text(json.dumps({"paths": paths, "hazard_multiplier": [1, 0.5]}))
     foreign = read_plan(tmp_path / "paths.json", ROW)
-    assert foreign.bearing == Bearing(1.0, (1.0, 0.5))
+    assert foreign.failure_model == FailureModel(1.0, (1.0, 0.5))
     foreign.save(tmp_path / "saved.json")
-    assert read_plan(tmp_path / "saved.json", ROW).bearing == foreign.bearing
+    assert read_plan(tmp_path / "saved.json", ROW).failure_model == foreign.failure_model
     tallies = [
         make_engine(one, ROW, Rolling(loop, seed=1), "numba").tally(0, 500)
         for one in (foreign, foreign.of_robots(hazard_multiplier=1.0))
@@ -479,7 +481,7 @@ Part = Callable[..., int]
 
 @program
 def parted(ids, words, key0, key1, counter, limit):  # type: ignore[no-untyped-def]
-    return part_many(ids, words, key0, key1, counter, limit)
+    return split_many(ids, words, key0, key1, counter, limit)
 
 
 def check(part: Part, sizes: range) -> int:

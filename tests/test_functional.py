@@ -401,7 +401,10 @@ def check_sampled(sampled: CoverageGradient, exact: CoverageGradient) -> None:
 @pytest.fixture
 def as_python() -> Iterator[None]:
     """The simulator as Python: a program that counts these sums takes 20 CPU seconds to compile."""
-    with patch("planner.rollouts.runners.run_set", interpreted("rollouts").run_set), np.errstate(over="ignore"):
+    with (
+        patch("planner.rollouts.runners.run_group_tasks", interpreted("rollouts").run_group_tasks),
+        np.errstate(over="ignore"),
+    ):
         yield
 
 
@@ -427,7 +430,10 @@ def test_the_compiled_gradient_is_that_of_exact_trees(robots: int, policy: str) 
         assert sampled.coverage == pytest.approx(tally.visited @ np.arange(len(tally.visited)) / 100_000, rel=1e-12)
         np.testing.assert_array_equal(np.rint(sampled.losses * 100_000).ravel(), tally.stops)
         few = closed_loop_gradient(world, plan, p, rollouts=2000, threads=2)
-        with patch("planner.rollouts.runners.run_set", interpreted("rollouts").run_set), np.errstate(over="ignore"):
+        with (
+            patch("planner.rollouts.runners.run_group_tasks", interpreted("rollouts").run_group_tasks),
+            np.errstate(over="ignore"),
+        ):
             same(vars(few), vars(closed_loop_gradient(world, plan, p, rollouts=2000, threads=1)))
 
 

@@ -45,7 +45,7 @@ def same_both_ways(number: int) -> Counter[str]:
     by_either = [[one.outcome, one.time, one.shares, [r.path.tolist() for r in one.robots]] for one in (quick, plan)]
     assert by_either[0] == by_either[1] and quick.sha256 == plan.sha256, number
     # Of a large map a compiled program makes the plan; its source is what runs here.
-    python = patch("planner.rollouts.runners.run_set", interpreted("rollouts").run_set)
+    python = patch("planner.rollouts.runners.run_group_tasks", interpreted("rollouts").run_group_tasks)
     with python, patch("planner.make_plan.LARGE", 0), np.errstate(over="ignore"):
         assert make_plan(world, starts, settings).to_json() == plan.to_json(), number
     learns = isinstance(world.doubt, Hazard) and world.doubt.learn

@@ -299,8 +299,8 @@ def test_a_world_file_keeps_what_robots_are_not_told(tmp_path):
     world = with_prior(random_world(6, 6, ThreatPattern(seed=2)), 0.1, sense={"range": 2, "sight": True})
     world.save(tmp_path / "w.npz")
     again = load_input(tmp_path / "w.npz")
-    assert again.luck_sha256 == world.luck_sha256 and again.knowledge.sense == Sense(2, True)
-    assert with_sense(world, 3).luck_sha256 != world.luck_sha256 != with_sense(world, 2).luck_sha256
+    assert again.randomness_sha256 == world.randomness_sha256 and again.knowledge.sense == Sense(2, True)
+    assert with_sense(world, 3).randomness_sha256 != world.randomness_sha256 != with_sense(world, 2).randomness_sha256
 
 
 # Robots that are not told the map: counts, and the tree.
@@ -783,12 +783,12 @@ def test_scenarios_and_world_files_keep_it(tmp_path):
     )
     world.save(tmp_path / "w.npz")
     again = load_input(tmp_path / "w.npz")
-    assert again.luck_sha256 == world.luck_sha256
+    assert again.randomness_sha256 == world.randomness_sha256
     assert again.doubt.detector == world.doubt.detector
     World.create(world.doubt.q).save(tmp_path / "q.npz")
     text = "map: q.npz\nlatent_hazard: {kind: consumed, h: 0.5, learn: true}\nsensor_range: {range: 2, %s}\n"
     (tmp_path / "s.yaml").write_text(text % "sight: true, detect: 0.8, false_alarm: 0.1")
-    assert load_input(tmp_path / "s.yaml").luck_sha256 == world.luck_sha256
+    assert load_input(tmp_path / "s.yaml").randomness_sha256 == world.randomness_sha256
     for wrong in ("detect: 0.8", "detect: 2, false_alarm: 0"):
         (tmp_path / "s.yaml").write_text(text % wrong)
         with pytest.raises(InputError, match="sensor_range"):

@@ -14,7 +14,7 @@ from helpers import assert_same_trace
 from test_learning import drawn
 
 from planner.errors import InputError, StateError, WorldError
-from planner.failure_model import Bearing, exposure_of
+from planner.failure_model import FailureModel, exposure_of
 from planner.make_plan import make_plan
 from planner.mission.mission import Mission
 from planner.plan.plan import Plan
@@ -101,7 +101,7 @@ def trace_of(mission: Mission, steps: list[Any], rollout: int, outcome: Outcome)
 def assert_driven_is_the_closed_loop(world: World, plan: Plan, seed: int, rollout: int) -> Outcome:
     """Event for event, asking for orders before each robot moves."""
     mission, steps = Mission(world, plan, patience=None), list[Any]()
-    luck = Luck(world, seed, rollout, plan.bearing)
+    luck = Luck(world, seed, rollout, plan.failure_model)
     while mission.outcome is None:
         step_by_luck(mission, luck, doubled=rollout % 2 == 1)
         steps.append((mission._fleet.frame(), mission._fleet.new_events))
@@ -160,7 +160,7 @@ def test_so_it_is_from_a_state_and_through_its_file(more: dict[str, Any], every:
     for seed in range(1):
         world, plan = case(seed, **more)
         whole = PythonLoop(plan, world).run(seed, 1)
-        luck, mission = Luck(world, seed, 1, plan.bearing), Mission(world, plan)
+        luck, mission = Luck(world, seed, 1, plan.failure_model), Mission(world, plan)
         while mission.outcome is None:
             robots = list(mission.orders().values())
             for number, order in enumerate(robots):
@@ -179,7 +179,7 @@ def test_so_it_is_from_a_state_and_through_its_file(more: dict[str, Any], every:
         assert (mission.outcome, mission.step - 1) == (plan.ending(whole.outcome), whole.time)
         np.testing.assert_array_equal(mission._fleet.loop.on_grid(mission._fleet.visited), whole.visited)
         assert mission.lost == tuple(np.flatnonzero(~whole.alive))
-        if plan.bearing.shape > 1:
+        if plan.failure_model.shape > 1:
             assert mission.state.exposures == tuple(luck.borne(robot) for robot in range(mission.robots))
 
 
@@ -641,7 +641,7 @@ def test_a_robot_that_bore_more_than_any_luck_goes_on(tmp_path: Path) -> None:
     mission.save(file)
     again = Mission.resume(file, world, plan)
     assert again.step == mission.step and again.lost == () and again.orders() == mission.orders()
-    assert again.state.exposures[0] == Bearing(4.0, 2.0).most(1)[0]
+    assert again.state.exposures[0] == FailureModel(4.0, 2.0).most(1)[0]
 
 
 # A mission among hazards that it learns of, or threats that change, goes on as a simulated team does.

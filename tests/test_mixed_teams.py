@@ -194,7 +194,7 @@ def test_a_scenario_says_what_a_threat_is_to_a_type(tmp_path: Path) -> None:
     np.testing.assert_allclose(world.threat, 1 - (1 - radiation) * (1 - mine) * (1 - other), atol=1e-7)
     world.save(tmp_path / "site.npz")
     again = load_input(tmp_path / "site.npz")
-    assert again.luck_sha256 == world.luck_sha256 != replace(world, types=None).luck_sha256
+    assert again.randomness_sha256 == world.randomness_sha256 != replace(world, types=None).randomness_sha256
     plan = make_plan(world, place_starts(world, 2)[0], Settings(types=("drone", "rover")))
     plan.save(tmp_path / "plan.json")
     assert read_plan(tmp_path / "plan.json", again).settings == plan.settings
@@ -251,9 +251,9 @@ def test_paths_alone_keep_their_types(tmp_path: Path) -> None:
     plan = make_plan(world, place_starts(world, 2)[0], Settings(types=("drone", "rover"))).until(500)
     plan.save(file)
     other = replace(world, team=replace(world.team, settings={"types": ("rover", "rover")}))
-    assert load_plan(file, other).bearing == plan.bearing
+    assert load_plan(file, other).failure_model == plan.failure_model
     paths = {"paths": [[[0, 0]], [[0, 1]]], "types": "drone"}
-    assert parse_plan(paths, other, "paths").bearing.types == "drone"
+    assert parse_plan(paths, other, "paths").failure_model.types == "drone"
     with pytest.raises(InputError, match="for a world without robot types"):
         load_plan(file, replace(world, types=None))
 
@@ -264,7 +264,7 @@ def test_a_world_file_says_of_which_types_its_robots_are(types: str, tmp_path: P
     world.save(file)
     again = load_input(file)
     assert again.team.settings == world.team.settings
-    assert again.luck_sha256 == world.luck_sha256
+    assert again.randomness_sha256 == world.randomness_sha256
     assert again.to_bytes() == world.to_bytes()
     with pytest.raises(InputError, match=r"types_team are not types of robots; expected .* of drone, rover"):
         world_of(world.arrays() | {"types_team": np.array("tank")}, "site.npz")

@@ -178,7 +178,7 @@ def test_robots_that_wear_go_on_with_what_they_have_borne() -> None:
         robot["exposure"] = 0.1 * number
     state, settings = parse_state(said, world, "state.json"), Settings(weibull_shape=2.0, hazard_multiplier=1.5)
     loop = compile_closed_loop(make_plan(world, state.starts, settings, state=state), world)
-    assert any(loop.bearing.begun)
+    assert any(loop.failure_model.begun)
     same(loop, 3, 200, "worn before", traced=(0, 1))
 
 

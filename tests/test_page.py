@@ -24,8 +24,8 @@ from analysis.checking.check import MapCheck, Survey, check_input, make_survey, 
 from analysis.checking.report import check_headline, check_report, survey_headline, survey_report
 from analysis.evaluation.evaluate import Evaluation, evaluate
 from analysis.evaluation.layers import nominal, picked
-from analysis.evaluation.report import chances_words, headline, limit_words, losses_words, report
-from analysis.evaluation.tables import formulas_words
+from analysis.evaluation.report import bound_text, completion_text, headline, losses_text, report
+from analysis.evaluation.tables import formulas_text
 from analysis.page.document import (
     FOLDED_FROM,
     MOST_ROWS,
@@ -45,7 +45,7 @@ from analysis.page.document import (
     with_code,
 )
 from analysis.page.maps import NOT_FREE, OUT_OF_REACH, STEPS, CellLayer, Run, cell_maps_html, pack, packed_runs
-from analysis.pictures import COVERED, house_style
+from analysis.pictures import COVERED, picture_style
 from analysis.recording.frames import make_frames
 from analysis.report.answer import save_report
 from analysis.report.model import KeyFigure, Part, Report
@@ -367,9 +367,9 @@ def test_the_answer_losses_chances_and_the_map_stand_before_the_sections(answer:
     page = page_of_reports(noted)
     reader = check_page_is_sound(page)
     tally = answer.tally
-    wanted = [headline(answer), limit_words(answer), "7 were cut off", "The map and the plan", "mean time",
-              "Chances in %, losses and time", "Coverage, % of", losses_words(answer), chances_words(answer),
-              "gains", "Expected coverage by the end", formulas_words(answer), "Theorem 3, C = ",
+    wanted = [headline(answer), bound_text(answer), "7 were cut off", "The map and the plan", "mean time",
+              "Chances in %, losses and time", "Coverage, % of", losses_text(answer), completion_text(answer),
+              "gains", "Expected coverage by the end", formulas_text(answer), "Theorem 3, C = ",
               "4 rows are dropped", "Versions: "]  # fmt: skip
     places = [reader.text.index(words) for words in wanted]
     assert places == sorted(places)
@@ -422,7 +422,7 @@ def test_one_chance_has_one_colour_in_pictures_and_on_the_page(levels: int) -> N
     page = check_page_is_sound(evaluation_page(answer, COMMAND, {}))
     with Image.open(BytesIO(base64.b64decode(str(page.all("img")[0]["src"]).split(",")[1]))) as image:
         on_page = np.array(image.convert("RGB"))
-    with house_style():
+    with picture_style():
         figure = figure_of(report(answer), "world.png")
         drawn = np.asarray(figure.axes[0].images[0].get_array())
     assert np.array_equal(np.round(255 * drawn[..., :3]).astype(int), on_page)

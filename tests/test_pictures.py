@@ -31,7 +31,16 @@ from analysis.evaluation.outputs.over_time import Band, Deadline, last_shown
 from analysis.evaluation.report import report
 from analysis.evaluation.tables import bin_counts, histogram_bins, marks
 from analysis.page.document import Chart, Series
-from analysis.pictures import group_labels, house_style, label_width, map_layout, new_figure, png_bytes, png_of, ranges
+from analysis.pictures import (
+    group_labels,
+    label_width,
+    map_layout,
+    new_figure,
+    picture_style,
+    png_bytes,
+    png_of,
+    ranges,
+)
 from analysis.report.answer import save_report
 from analysis.report.rendering import charts_figure, figure_of
 from analysis.sampling import RolloutChoices
@@ -74,7 +83,7 @@ def evaluation() -> Evaluation:
 
 @cache
 def made(name: str, evaluation: Evaluation) -> Figure:
-    with house_style():
+    with picture_style():
         return figure_of(report(evaluation), name)
 
 
@@ -82,13 +91,13 @@ def made(name: str, evaluation: Evaluation) -> Figure:
 def drawn(name: str, evaluation: Evaluation) -> Figure:
     """With everything where it will be."""
     figure = made(name, evaluation)
-    with house_style():
+    with picture_style():
         figure.draw_without_rendering()
     return figure
 
 
 def assert_inside(figure: Figure, name: str) -> None:
-    with house_style():
+    with picture_style():
         box = figure.get_tightbbox()
     width, height = figure.get_size_inches()
     assert box.x0 > 0 and box.y0 > 0, (name, box)
@@ -396,7 +405,7 @@ def test_no_line_runs_through_a_label(picture: str, evaluation: Evaluation, clos
     shown = {"open": evaluation, "closed": closed}
     shown |= {"some complete": some} if picture in ("distribution.png", "over_time.png") else {}
     for name, answer in shown.items():
-        with house_style():
+        with picture_style():
             assert crossed(drawn(picture, answer)) == [], name
 
 
@@ -407,7 +416,7 @@ DEAR = [pytest.param(name, marks=pytest.mark.slow) for name in ("row", "split", 
 def test_extreme_worlds_are_drawn_inside_the_figure(name: str, extreme: dict[str, Evaluation]) -> None:
     for picture in PICTURES:
         assert_inside(drawn(picture, extreme[name]), picture)
-        with house_style():
+        with picture_style():
             assert crossed(drawn(picture, extreme[name])) == [], picture
 
 
@@ -455,7 +464,7 @@ def test_the_user_s_pyplot_is_left_alone() -> None:
 
 def test_dollars_in_words_are_no_formula() -> None:
     """In a sweep's settings, for example: matplotlib fails on half a formula while it draws."""
-    with house_style():
+    with picture_style():
         figure = new_figure((2.0, 1.0))
         figure.text(0.1, 0.5, r"robots $\nothing{ $5 and $7")
         figure.add_axes((0.2, 0.2, 0.6, 0.6)).plot([1, 2], label=r"$\frac{")

@@ -188,7 +188,7 @@ def test_settings_left_out_take_their_defaults(tmp_path: Path) -> None:
 def test_another_planners_paths_are_taken_with_a_note_on_cells_left_out(tmp_path: Path) -> None:
     data = {"format": "coverage-plan/1", "map": "x", "paths": [[[0, 0], [0, 1], [0, 1], [1, 1]], [[1, 3], [1, 3]]]}
     plan = load_plan(written(tmp_path, data), WORLD)
-    assert plan.is_foreign
+    assert plan.is_external
     assert (plan.outcome, plan.time, plan.shares, plan.areas, plan.areas_added) == ("end_of_paths", 3, 0, (), ())
     assert [robot.path.tolist() for robot in plan.robots] == [[0, 1, 1, 5], [7, 7]]
     assert all(robot.path.dtype == np.int64 and robot.legs == () for robot in plan.robots)
@@ -208,7 +208,7 @@ def test_given_paths_and_a_scenario_that_says_more_of_its_robots(tmp_path: Path)
     world = load_input(tmp_path / "s.yaml")
     path = [[0, 0], [0, 1], [1, 1], [1, 2], [0, 2], [0, 3], [1, 3]]
     plan = load_plan(written(tmp_path, {"paths": [path]}), world)
-    assert plan.bearing.hazard_multiplier == 3 and len(plan.robots[0].path) == 7
+    assert plan.failure_model.hazard_multiplier == 3 and len(plan.robots[0].path) == 7
     unkept = f"ignored from {world.source}: range and deadline"
     assert plan.notes == (f"robots follow external paths to their end; {unkept}",)
     own = plan_team(world, [[0, 0]], Settings(plan_for="open_loop", range=2, effort=0))
@@ -833,7 +833,7 @@ def test_a_pace_changes_nothing_but_what_is_said() -> None:
     plain = mrac.load(CELLS)
     paced = mrac.load(CELLS, step_seconds=30)
     assert paced.pace == Pace(30.0)
-    assert (paced.sha256, paced.luck_sha256) == (plain.sha256, plain.luck_sha256)
+    assert (paced.sha256, paced.randomness_sha256) == (plain.sha256, plain.randomness_sha256)
     one = mrac.evaluate(plain, 2, deadline=4, **ONE)
     other = mrac.evaluate(paced, 2, deadline="2 min", **ONE)
     assert one.tally == other.tally

@@ -19,13 +19,13 @@ from planner.mrac.problem import prepare
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop, new_cells, run_range
 from planner.rollouts.loop import FEATURES, PROGRAMS, ClosedLoop, typed, with_features
-from planner.rollouts.runners import KNOWN, LEAST_SHARED, _in_rounds, remember_alike
+from planner.rollouts.runners import KNOWN, LEAST_SHARED, _in_rounds, share_cached_paths
 from planner.rollouts.tables import most_cost
 from planner.settings import Settings
-from planner.simulator import return_home as remember
+from planner.simulator import return_home as cache_path
 from planner.simulator.codes import BLOCKED, EventKind, Outcome
 from planner.simulator.searches import neighbour_table
-from planner.simulator.state import first_room, largest_set, make_state, make_work
+from planner.simulator.state import first_room, largest_group, make_state, make_work
 from planner.tally import RolloutResults, Tally, Trace
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
@@ -153,7 +153,7 @@ def test_sets_of_any_size_count_the_same(shared: None, monkeypatch: pytest.Monke
         assert_same_results(RolloutResults.join([found for _, found in parts]), singles)
         for most in (1, 33):
             with monkeypatch.context() as patch:
-                patch.setattr("planner.rollouts.runners.LARGEST_SET", most)
+                patch.setattr("planner.rollouts.runners.LARGEST_GROUP", most)
                 tally, found = rolled(loop, threads=3)
             assert tally == whole
             assert_same_results(found, singles)
@@ -165,7 +165,7 @@ def test_sets_are_as_small_as_memory_for_those_who_wait(shared: None, monkeypatc
     for room in (1, 60_000):
         monkeypatch.setattr("planner.simulator.state.STATE_BYTES", room)
         state = make_state(loop.first_state(first_room(loop.tables)), 3000)
-        assert largest_set(state, 3000) == len(state.marks) < loop.robots
+        assert largest_group(state, 3000) == len(state.marks) < loop.robots
         assert rolled(loop)[0] == rolled(loop, threads=2)[0] == whole
 
 
@@ -189,8 +189,8 @@ def test_threads_that_share_histories_count_as_one(monkeypatch: pytest.MonkeyPat
     for count in (3000, 41):
         whole, singles = rolled(loop, 7, count)
         for aside, threads, most in ((1, 2, 7), (2, 3, 500), (5, 2, 900), (19, 16, 9), (256, 2, 999), (256, 13, 9999)):
-            monkeypatch.setattr("planner.rollouts.runners.MOST_ASIDE", aside)
-            monkeypatch.setattr("planner.rollouts.runners.LARGEST_SET", most)
+            monkeypatch.setattr("planner.rollouts.runners.MOST_DEFERRED", aside)
+            monkeypatch.setattr("planner.rollouts.runners.LARGEST_GROUP", most)
             tally, found = rolled(loop, 7, count, threads)
             assert tally == whole
             assert_same_results(found, singles)
@@ -222,7 +222,7 @@ def test_whoever_knows_fewer_paths_learns_those_of_who_knows_most(full: bool) ->
         work.paths[: (0, 5, 9)[known - 1]] = np.arange(9)[: (0, 5, 9)[known - 1]]
         work.slots[7 * known] = known
     most = works[1].remembered[0] = len(works[1].ends) if full else 3
-    remember_alike(works)
+    share_cached_paths(works)
     for work in works:
         assert work.remembered[0] == most and work.ends[:3].tolist() == [0, 5, 9] and work.slots[21] == 3
         assert work.paths[:9].tolist() == list(range(9))
@@ -235,7 +235,7 @@ def test_a_coverage_path_is_remembered_by_all_of_its_key() -> None:
     work.paths[3:8] = 5, 3, 1, 2, 9
     for here, listed, same in ((5, [1, 2, 9], 1), (4, [1, 2, 9], 0), (5, [1, 2], 0), (5, [1, 2, 8], 0)):
         work.listed[: len(listed)] = listed
-        assert remember.is_of.py_func(work, 3, here, len(listed)) == same
+        assert cache_path.is_of.py_func(work, 3, here, len(listed)) == same
 
 
 def test_areas_get_more_room_when_it_proves_too_small(shared: None, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -136,7 +136,7 @@ def test_a_saved_plan_is_one_of_paths_that_knows_what_it_is_for(tmp_path: Path) 
     plan = planned(world, [[0, 0]])
     plan.save(tmp_path / "plan.json")
     found = load_plan(tmp_path / "plan.json", world)
-    assert (plan.plan_for, plan.outcome, plan.is_foreign, plan.time) == (
+    assert (plan.plan_for, plan.outcome, plan.is_external, plan.time) == (
         "open_loop",
         "end_of_paths",
         True,

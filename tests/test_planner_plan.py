@@ -232,7 +232,7 @@ def test_equal_counts() -> None:
 
 def test_a_team_takes_over_what_is_of_its_own_map_and_nothing_of_another_shape() -> None:
     wide, high, starts = World.create(np.zeros((4, 6))), World.create(np.zeros((6, 4))), [[0, 2], [2, 3], [0, 3]]
-    assert wide.luck_sha256 == high.luck_sha256, "the same cells in a row: only the shape tells them apart"
+    assert wide.randomness_sha256 == high.randomness_sha256, "the same cells in a row: only the shape tells them apart"
     before, first = allocated(wide, starts, Settings())
     again, same = allocated(wide, starts[::-1], Settings(), before=before)
     other, found = allocated(high, starts, Settings(), before=before)

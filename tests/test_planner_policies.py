@@ -204,16 +204,16 @@ def test_areas_are_ranked_by_the_least_price_per_cell(kept: int, valued: bool, m
 
 
 def test_an_area_of_one_cell_stays_first_until_another_comes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the simulator leaves out (`replanning.settle_on`): one that looks each time finds the same."""
+    """What the simulator leaves out (`replanning.make_first_choice`): one that looks each time finds the same."""
     replanning, settled = interpreted("replanning"), list[bool]()
-    honest = replanning.settle_on
+    honest = replanning.make_first_choice
 
     def looks_each_time(t: Any, p: Any, s: Any, robot: int, area: int) -> None:
         honest(t, p, s, robot, area)
         settled.append(s.robots[robot].sure != NONE)
         s.robots[robot].sure = NONE
 
-    monkeypatch.setattr(replanning, "settle_on", looks_each_time)
+    monkeypatch.setattr(replanning, "make_first_choice", looks_each_time)
     for name in ("scattered-20x20-1000-k8", "scattered-14x23-1001-k8"):
         fixture = load_fixture(name)
         play_both_ways(make_plan(fixture.world, fixture.starts, Settings(policy="per_cell")), fixture.world, 3, 2)

@@ -29,7 +29,7 @@ from policies_study import (
 from policies_study import headline as study_headline
 
 import mrac_jax as mrac
-from analysis.policy_evaluation.leaderboard import RANDOM, Played, Rolled, Standing
+from analysis.policy_evaluation.leaderboard import RANDOM, Leaderboard, Rolled, WorldResults
 from analysis.policy_evaluation.policy_evaluation import estimate_of, headline, roll_policy, scores_of
 from analysis.report.answer import print_report
 from analysis.sampling import RolloutChoices, make_singles
@@ -90,13 +90,13 @@ def test_worlds_are_stable_for_ever() -> None:
     found = {}
     for name, world in mrac.suite().items():
         assert world.starts is not None
-        found[name] = hashlib.sha256(f"{world.luck_sha256} {world.starts.tolist()}".encode()).hexdigest()[:16]
+        found[name] = hashlib.sha256(f"{world.randomness_sha256} {world.starts.tolist()}".encode()).hexdigest()[:16]
         assert len(world.starts) == int(name.rpartition("-k")[2]) and world.accessible(world.starts).mean() > 0.6
     assert found == HASHES and len(found) == 30
 
 
 @pytest.fixture(scope="module")
-def standing(tmp_path_factory: pytest.TempPathFactory) -> Standing:
+def standing(tmp_path_factory: pytest.TempPathFactory) -> Leaderboard:
     """Two tiny worlds, with a policy that goes east, and MRAC's paths as another planner's on one of them."""
     folder, suite = tmp_path_factory.mktemp("copies"), mrac.suite(TINY)
     (folder / "README.txt").write_text("not a plan")
@@ -107,7 +107,7 @@ def standing(tmp_path_factory: pytest.TempPathFactory) -> Standing:
     return suite.judge(mostly_east, **given)
 
 
-def test_the_figures_are_those_of_the_worlds(standing: Standing, tmp_path: Path) -> None:
+def test_the_figures_are_those_of_the_worlds(standing: Leaderboard, tmp_path: Path) -> None:
     said = standing.to_json()
     scores: dict[str, list[float]] = {}
     for world in said["worlds"].values():
@@ -129,7 +129,7 @@ def test_the_figures_are_those_of_the_worlds(standing: Standing, tmp_path: Path)
     assert saved.sha256 == mrac.suite()[standing.worlds[1].name].sha256 and saved.starts is not None
 
 
-def test_plans_of_other_planners_have_rows(standing: Standing) -> None:
+def test_plans_of_other_planners_have_rows(standing: Leaderboard) -> None:
     """MRAC's own paths, followed, are its open loop; without a plan for every world there is no rank."""
     first = standing.worlds[0]
     assert (first.rolled["copy, open loop"].visited == first.rolled["mrac, open loop"].visited).all()
@@ -144,8 +144,8 @@ def test_ranks_and_distances_by_hand() -> None:
     worlds = []
     for name, ours, other in (("one", [6, 6, 10, 10], [6, 6, 6, 6]), ("two", [2, 2, 2, 2], [6, 6, 6, 6])):
         rolled = {"ours": Rolled(np.array(ours), np.array([0, 0, 1, 1])), "other": Rolled(np.array(other), walk.lost)}
-        worlds.append(Played(name, 2, 10, 10.0, None, {RANDOM: walk, **rolled}))
-    other, ours, random = Standing(tuple(worlds), 4, 0, "ours", 0.0).entries
+        worlds.append(WorldResults(name, 2, 10, 10.0, None, {RANDOM: walk, **rolled}))
+    other, ours, random = Leaderboard(tuple(worlds), 4, 0, "ours", 0.0).entries
     assert (other.name, other.rank, other.score.se, other.first) == ("other", 1, 0.0, 2)
     assert (other.score.mean, ours.score.mean) == (pytest.approx(0.5), pytest.approx(0.375))
     assert (ours.rank, ours.lost) == (2, 0.25) and ours.behind is not None

@@ -157,7 +157,7 @@ def test_a_progress_line_says_what_is_compiled_for_what(
         watch.doing("alternatives")
         assert watch.line_after(8) == "alternatives ... (8 s)"
         for loop, name in (("closed", "per_cell"), ("open", "the open loop")):
-            progress.compiles_for(plan, loop)
+            progress.announce_compilation(plan, loop)
             announcer.begins()
             now += 35.0
             assert watch.line_after(37) == f"compiling {name}, first run only, 35 s so far; alternatives"

@@ -20,7 +20,7 @@ from recordings import SEED, Change, edited, foreign_plan, keep, nth, rewrite, s
 
 from analysis.estimators.racing import plan_best
 from analysis.inputs import Asked, load_or_make_plan
-from analysis.pictures import OBSTACLE, SAFE, house_style
+from analysis.pictures import OBSTACLE, SAFE, picture_style
 from analysis.recording import contents
 from analysis.recording import pictures as animation
 from analysis.recording.container import open_log, recover
@@ -596,7 +596,7 @@ def test_animation_shows_first_to_last_and_is_repeatable(three_frames: bytes) ->
 def test_frames_are_what_the_pictures_show(three_frames: bytes) -> None:
     trace, plan, world = small()
     gif = opened(three_frames)
-    with house_style():
+    with picture_style():
         picture = RolloutPicture(trace, stage(plan, world), animation.ANIMATION_DPI)
         for index, step in enumerate(shown_steps(trace, 3)):
             picture.show(step)
@@ -642,7 +642,7 @@ def test_every_shape_of_map_has_its_place(shape: tuple[int, int]) -> None:
 
 def test_row_0_is_at_the_top() -> None:
     trace, plan, world = small()
-    with house_style():
+    with picture_style():
         picture = RolloutPicture(trace, stage(plan, world), 100)
         image = picture.pixels()
     left, bottom, width, height = (100 * length for length in boxes_for(world.shape).axes[0])
@@ -653,7 +653,7 @@ def test_row_0_is_at_the_top() -> None:
 
 def test_it_only_moves_on() -> None:
     trace, plan, world = small()
-    with house_style():
+    with picture_style():
         picture = RolloutPicture(trace, stage(plan, world), 50)
         picture.show(trace.time)
         with pytest.raises(ValueError, match="step"):

@@ -21,8 +21,8 @@ from analysis.experiments.reproduction import (
     Setting,
     StatementVerdict,
     columns_of,
+    controlled_means,
     findings,
-    put_right,
     reproduce,
     runs_of,
 )
@@ -34,7 +34,7 @@ from analysis.theory.exact import open_loop_exact
 from planner.errors import UsageError
 from planner.make_plan import make_plan
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
-from planner.rollouts.threshold_classes import luck_classes
+from planner.rollouts.threshold_classes import classes_by_threshold
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.world import World
@@ -81,7 +81,7 @@ def test_maps_are_put_right_by_what_all_of_them_tell_of_luck() -> None:
         world = random_world(20, 20, ThreatPattern("contiguous", seed=seed))
         loop = compile_closed_loop(make_plan(world, place_starts(world, setting.robots)[0]), world)
         y.append(run_range(loop, seed, 0, rollouts, singles=True)[1].visited / len(loop.cells))  # type: ignore[union-attr]
-        met = pieces(luck_classes(seed, 0, rollouts, setting.robots), setting.robots)
+        met = pieces(classes_by_threshold(seed, 0, rollouts, setting.robots), setting.robots)
         luck.append(met - expected_pieces(setting.robots))
     levels = np.repeat(np.eye(maps), rollouts, axis=0)
     found = np.linalg.lstsq(np.hstack([levels, np.concatenate(luck)]), np.concatenate(y), rcond=None)[0]
@@ -102,7 +102,7 @@ def test_intervals_over_maps_hold_and_the_control_does_not_bend_them() -> None:
                 raw, found = point.columns["run", loop, figure], []
                 for begin in range(0, len(raw), group):
                     sample = {key: column[begin : begin + group] for key, column in point.columns.items()}
-                    put_right(sample, 50)
+                    controlled_means(sample, 50)
                     found.append((sample["mean", loop, figure], over_maps(sample["mean", loop, figure])))
                 held = np.mean([one.ci95[0] <= raw.mean() <= one.ci95[1] for _, one in found])
                 moved = np.concatenate([means for means, _ in found]) - raw

@@ -20,13 +20,13 @@ from analysis.sampling import RolloutChoices, make_singles
 from analysis.search import threats as search
 from analysis.search.place_reports import (
     attack_findings,
-    attack_headline,
     attack_report,
     clear_findings,
-    clear_headline,
+    placement_summary,
+    removal_summary,
     starts_findings,
-    starts_headline,
     starts_report,
+    starts_summary,
 )
 from analysis.search.start_positions import border, candidate_cells, find_starts, read_candidates, sites_of, spread_out
 from analysis.search.threats import Attack, Clearing, by_cell, find_clearing, threats_of
@@ -106,7 +106,7 @@ def test_where_cells_are_worth_something_it_goes_by_value(depot: bool) -> None:
     assert answer.places[answer.best].value == max((p.value for p in able if p.value), key=lambda one: one.mean)
     found, fresh = answer.to_json(), answer.confirmed
     assert fresh is not None and fresh.value is not None and found["value"] == fresh.value.to_json()
-    assert "% of the value covered on average" in starts_headline(answer) and not answer.notes
+    assert "% of the value covered on average" in starts_summary(answer) and not answer.notes
     assert answer.gain is None or found["gain"] == answer.gain.to_json()
     plain = find_starts(WORLD, 2, Settings(), choices, depot=depot, candidates=given).to_json()
     assert "value" not in plain and all("value" not in one for one in plain["candidates"])
@@ -164,8 +164,8 @@ def test_where_the_team_stands_and_the_best_depot_are_in_the_race_to_the_end() -
     mine, theirs = told[answer.starts.tobytes()], told[now.starts.tobytes()]
     assert answer.gain.mean == pytest.approx(mine - theirs) and answer.gain.ci95[0] > 0
     assert answer.confirmed.coverage.mean == pytest.approx(mine)  # type: ignore[union-attr]
-    assert " more than from the starts of the input" in starts_headline(answer) and answer.to_json()["gain"]["mean"] > 0
-    for said in (starts_headline(answer), next(starts_findings(answer))):
+    assert " more than from the starts of the input" in starts_summary(answer) and answer.to_json()["gain"]["mean"] > 0
+    for said in (starts_summary(answer), next(starts_findings(answer))):
         assert " % " in said and " ± " in said and "95 %" not in said, "% is a share of the cells"
     assert any(
         " ±: half the 95 % interval, in brackets its ends;" in note
@@ -180,9 +180,9 @@ def test_nothing_worse_is_recommended() -> None:
     world = World.create(ISLANDS, starts=best)
     answer = mrac.starts(world, 3, candidates=[[0, 0], [2, 0]], rollouts=200)
     assert answer.stay and answer.starts.tolist() == best and answer.to_json()["stay"] is True
-    assert starts_headline(answer).startswith("Keep the starts of the input: no place found is significantly better; ")
+    assert starts_summary(answer).startswith("Keep the starts of the input: no place found is significantly better; ")
     depot = mrac.starts(world, 3, depot=True, candidates=[[0, 0], [2, 0]], rollouts=200)
-    assert depot.stay and depot.chosen.is_depot and "keep those unless a depot is needed" in starts_headline(depot)
+    assert depot.stay and depot.chosen.is_depot and "keep those unless a depot is needed" in starts_summary(depot)
     assert depot.gain is not None and depot.gain.ci95[1] < 0
 
 
@@ -328,7 +328,7 @@ def test_in_python_wrong_arguments_are_told() -> None:
 
 def test_an_interruption_leaves_the_best_so_far() -> None:
     answer = mrac.starts(WORLD, 2, depot=True, rollouts=32, progress=after(1), on_interrupt="return")
-    assert answer.partial and answer.confirmed is None and starts_headline(answer).startswith("Interrupted.")
+    assert answer.partial and answer.confirmed is None and starts_summary(answer).startswith("Interrupted.")
     assert answer.to_json()["partial"] is True and sum(p.coverage is not None for p in answer.places) == 1
 
 
@@ -338,7 +338,7 @@ def test_the_answer_prints_and_saves_itself(tmp_path: Path) -> None:
         files = {file.name for file in answer.save(tmp_path / str(depot))}
         assert files == {"index.html", "starts.png", "starts.txt", "starts.json", "plan.json"}
         page = Reader((tmp_path / str(depot) / "index.html").read_text()).text
-        assert starts_headline(answer) in page and all(said in page for said in starts_findings(answer))
+        assert starts_summary(answer) in page and all(said in page for said in starts_findings(answer))
         assert 2 <= len(repr(answer).splitlines()) <= 24
         assert (answer.world_with_starts.starts == answer.starts).all()
 
@@ -416,11 +416,11 @@ def test_where_cells_are_worth_something_gains_are_in_value() -> None:
     assert best is not None and best.counted.mean == max(through) and answer.unit == "of value"
     found = answer.to_json()
     assert found["value_gain"] == answer.gain.value.to_json() and found["threats"][0]["unknown"]["value"]  # type: ignore[union-attr]
-    assert " of value " in clear_headline(answer)
-    assert answer.gain is not None and answer.gain.counted.said(unit=" of value") in clear_headline(
+    assert " of value " in removal_summary(answer)
+    assert answer.gain is not None and answer.gain.counted.said(unit=" of value") in removal_summary(
         answer
     )  # fresh rollouts
-    assert best.counted.said(unit=" of value") not in clear_headline(answer)
+    assert best.counted.said(unit=" of value") not in removal_summary(answer)
 
 
 def test_the_gradient_is_that_of_the_closed_form() -> None:
@@ -547,7 +547,7 @@ def test_an_interruption_leaves_the_picks_so_far() -> None:
     asked = {"rollouts": RUNS, "exact": "never"}
     answer = mrac.threats(WORLD_CLEAR, remove=3, **asked, progress=after(6), on_interrupt="return")
     assert answer.partial and len(answer.picks) == 1 and answer.gain is None
-    assert clear_headline(answer).startswith("Interrupted.") and answer.to_json()["gain"] is None
+    assert removal_summary(answer).startswith("Interrupted.") and answer.to_json()["gain"] is None
     with pytest.raises(KeyboardInterrupt):
         mrac.threats(WORLD_CLEAR, remove=1, **asked, progress=after(1))
 
@@ -556,7 +556,7 @@ def test_the_answer_prints_and_saves_itself_clear(small: Clearing, tmp_path: Pat
     files = {file.name for file in small.save(tmp_path / "out")}
     assert files == {"index.html", "clear.png", "clear.txt", "risk_paid.png", "clear.json"}
     page = Reader((tmp_path / "out" / "index.html").read_text()).text
-    assert clear_headline(small) in page and all(said in page for said in clear_findings(small))
+    assert removal_summary(small) in page and all(said in page for said in clear_findings(small))
     assert "Marginal risk" in page and 2 <= len(repr(small).splitlines()) <= 24
 
 
@@ -687,7 +687,7 @@ def test_of_large_maps_some_cells_are_looked_at_and_fewer_planned_for(monkeypatc
 def test_an_interruption_leaves_the_threats_so_far() -> None:
     answer = mrac.threats(small_world(0, 6, 6), add=2, p=P, progress=after(41), on_interrupt="return")
     assert answer.partial and len(answer.known.threats) >= 1 and answer.known.known is None
-    assert attack_headline(answer).startswith("Interrupted.") and answer.to_json()["known"]["loss"]["known"] is None
+    assert placement_summary(answer).startswith("Interrupted.") and answer.to_json()["known"]["loss"]["known"] is None
     assert not answer.hidden.threats and {*attack_report(answer).files} == {"known.npz", "known.yaml"}
 
 
@@ -714,7 +714,7 @@ def test_the_command_says_it_as_json_and_writes_both_maps(
     assert team.starts is not None and team.starts.tolist() == attacked.starts.tolist()
     assert team.sha256 == attacked.known_world.sha256
     page = Reader((tmp_path / "out" / "index.html").read_text()).text
-    assert attack_headline(attacked) in page and all(said in page for said in attack_findings(attacked))
+    assert placement_summary(attacked) in page and all(said in page for said in attack_findings(attacked))
     assert 2 <= len(repr(attacked).splitlines()) <= 24
 
 

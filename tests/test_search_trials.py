@@ -24,10 +24,10 @@ from analysis.estimators.trial import Known, Sampled, Trial
 from analysis.evaluation.report import report
 from analysis.sampling import RolloutChoices
 from analysis.search.pareto import Goal, Ladders, find_front, settings_of
-from analysis.search.place_reports import clear_headline as clear_said
-from analysis.search.place_reports import starts_headline as starts_said
-from analysis.search.reports import front_headline as front_said
-from analysis.search.reports import size_headline as size_said
+from analysis.search.place_reports import removal_summary as clear_said
+from analysis.search.place_reports import starts_summary as starts_said
+from analysis.search.reports import front_summary as front_said
+from analysis.search.reports import size_summary as size_said
 from analysis.search.start_positions import find_starts
 from analysis.search.team_size import Goal as SizeGoal
 from analysis.search.team_size import TeamVerdict, find_size, make_goal
@@ -35,7 +35,7 @@ from analysis.search.threats import find_clearing
 from analysis.statistics.estimates import Estimate, bet_interval
 from analysis.statistics.variance_reduction import LEAST
 from analysis.theory.exact import Worth
-from analysis.utils.tables import policy_words
+from analysis.utils.tables import policy_text
 from planner.make_plan import make_plan
 from planner.plan.plan import Plan
 from planner.policies import RULES
@@ -491,7 +491,7 @@ def test_the_gain_is_told_on_other_luck(monkeypatch: pytest.MonkeyPatch) -> None
     plan = mrac.plan(world, 6, policy="best", seconds=60)
     paper = make_plan(world, plan.starts, Settings())
     loops = [compile_closed_loop(one, world) for one in (paper, plan)]
-    visited = [run_range(loop, best.LUCK, 1024, 1024, singles=True)[1].visited for loop in loops]
+    visited = [run_range(loop, best.SEARCH_SEED, 1024, 1024, singles=True)[1].visited for loop in loops]
     gain = 100 * float(np.mean(visited[1] - visited[0])) / world.accessible(plan.starts).sum()
     said = re.search(r"([\d.]+) points ± ([\d.]+)", plan.notes[-1])
     assert said is not None
@@ -516,7 +516,7 @@ def test_one_sentence_says_what_was_found_and_what_no_strategy_exceeds() -> None
     name, _, lost = name.partition(", and ")
     assert lost.startswith("lose ") and "%" not in lost
     assert limit is not None and 0 <= float(most.split(" %")[0]) - 100 * limit.mean <= 0.01
-    assert plan.settings is not None and name == policy_words(plan.settings)
+    assert plan.settings is not None and name == policy_text(plan.settings)
     assert not any("No strategy" in line for line in shown.findings)
 
 
@@ -537,7 +537,7 @@ SEARCHES = 300
 BEFORE_LUCK = (
     "search.start_positions._places", "search.start_positions.allocated_plan", "search.threats.any_strategy",
     "search.threats.allocated_plan", "search.pareto.allocated_plan", "search.pareto.longest_mission",
-    "search.team_size.plan_team", "search.team_size.team_ideals", "estimators.trial.compile_closed_loop",
+    "search.team_size.plan_team", "search.team_size.team_upper_bounds", "estimators.trial.compile_closed_loop",
 )  # fmt: skip
 """What searches make of a map before any luck comes in."""
 SLACK = 3 * np.sqrt(0.05 * 0.95 / SEARCHES)

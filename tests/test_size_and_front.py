@@ -43,7 +43,7 @@ from analysis.search.pareto import (
     between,
     efficient,
     find_front,
-    first_worth,
+    first_robot_value,
     knee,
     quick_points,
     settings_of,
@@ -54,11 +54,11 @@ from analysis.search.pareto import make_goal as make_front_goal
 from analysis.search.reports import (
     TITLES,
     _front_chart,
-    front_headline,
     front_report,
-    pick_lines,
-    size_headline,
+    front_summary,
+    selection_lines,
     size_report,
+    size_summary,
 )
 from analysis.search.team_size import (
     FEW,
@@ -66,13 +66,13 @@ from analysis.search.team_size import (
     TeamSize,
     TeamVerdict,
     find_size,
-    ideals_of,
-    judge_team,
     make_goal,
     smallest_enough,
-    team_ideals,
+    team_upper_bounds,
+    upper_bounds_of,
+    verdict_of_team,
 )
-from analysis.statistics.estimates import chance_interval, exactly, mean_interval, share_of_doubt
+from analysis.statistics.estimates import chance_interval, error_share, exactly, mean_interval
 from analysis.statistics.variance_reduction import tally_mean
 from analysis.theory.bounds import ideal_team
 from analysis.theory.exact import poisson_binomial
@@ -80,7 +80,7 @@ from planner.errors import InputError, UsageError
 from planner.make_plan import make_plan
 from planner.plan_team import plan_team
 from planner.rollouts import tables
-from planner.rollouts.engine import run_by_luck
+from planner.rollouts.engine import run_with_threshold_sums
 from planner.rollouts.single_run import PythonLoop
 from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
@@ -144,11 +144,11 @@ def fake(enough: Callable[[int], bool], asked: list[int]) -> Callable[[int], Tea
     ],
 )
 def test_a_team_is_judged_by_its_whole_interval(interval: tuple[float, float], verdict: TeamVerdict) -> None:
-    assert judge_team(interval, 0.9) is verdict
+    assert verdict_of_team(interval, 0.9) is verdict
 
 
 def test_all_looks_together_share_the_doubt() -> None:
-    assert share_of_doubt(64, 6) * 64 * 6 == pytest.approx(0.05)
+    assert error_share(64, 6) * 64 * 6 == pytest.approx(0.05)
 
 
 def test_search_finds_the_smallest_on_a_growing_curve() -> None:
@@ -214,21 +214,21 @@ def test_chance_interval_misses_no_more_often_than_it_says() -> None:
 def test_ideals_are_those_of_the_bounds() -> None:
     threat = np.random.default_rng(3).choice([0.0, 0.05, 0.2, 0.6], 40)
     for needed in (1, 20, 40):
-        coverage, chance = ideals_of(threat, 12, needed)
+        coverage, chance = upper_bounds_of(threat, 12, needed)
         for robots in range(1, 13):
             assert coverage[robots - 1] == pytest.approx(ideal_team(threat, robots))
             hits = poisson_binomial(1.0 - np.sort(threat)[: needed - 1])[::-1]  # chance of so many hits before the last
             assert chance[robots - 1] == pytest.approx(hits[:robots].sum())
-    assert ideals_of(threat, 3, 41)[1].tolist() == [0, 0, 0]
+    assert upper_bounds_of(threat, 3, 41)[1].tolist() == [0, 0, 0]
 
 
 def test_ideals_follow_the_parts_of_the_map_and_the_deadline() -> None:
     world = World.create([[0.0, 0.0, NAN, 0.0, 0.0, 0.0]])
     starts = np.array([[0, 0], [0, 1], [0, 5]])
-    assert team_ideals(world, starts, 5, 5, None).coverage.tolist() == [0.4, 0.4, 1.0]
-    assert team_ideals(world, starts, 5, 5, None).chance.tolist() == [0, 0, 1]
-    assert team_ideals(world, starts, 5, 3, 0).coverage.tolist() == pytest.approx([0.2, 0.4, 0.6])
-    assert team_ideals(world, starts, 5, 2, 0).chance.tolist() == [0, 1, 1]
+    assert team_upper_bounds(world, starts, 5, 5, None).coverage.tolist() == [0.4, 0.4, 1.0]
+    assert team_upper_bounds(world, starts, 5, 5, None).chance.tolist() == [0, 0, 1]
+    assert team_upper_bounds(world, starts, 5, 3, 0).coverage.tolist() == pytest.approx([0.2, 0.4, 0.6])
+    assert team_upper_bounds(world, starts, 5, 2, 0).chance.tolist() == [0, 1, 1]
 
 
 def test_no_team_exceeds_its_ideals() -> None:
@@ -282,17 +282,17 @@ def test_what_lies_on_the_line_is_undecided() -> None:
     assert size.robots == 2
     assert size.of(TeamVerdict.UNDECIDED) == (1,)
     assert size.point(1).rollouts == 10_000
-    assert size_headline(size).startswith("1 or 2 robots: with 2, ")
-    assert "1 is undecided after 10,000 rollouts" in size_headline(size)
+    assert size_summary(size).startswith("1 or 2 robots: with 2, ")
+    assert "1 is undecided after 10,000 rollouts" in size_summary(size)
     alone = sized(HALF, make_goal(None, 0.5, True, most=1), rollouts=10_000)
     assert alone.robots is None
     assert alone.to_json()["undecided"] == [1]
-    assert size_headline(alone).startswith("No team of up to 1 robot is shown to be enough")
+    assert size_summary(alone).startswith("No team of up to 1 robot is shown to be enough")
     short = sized(HALF, make_goal(None, 0.9, True, most=2))
-    assert size_headline(short).startswith(
+    assert size_summary(short).startswith(
         "No team of up to 2 robots is enough for a chance of 90 % for every accessible "
     )
-    assert "with 2, 7" in size_headline(short)
+    assert "with 2, 7" in size_summary(short)
 
 
 def test_without_threats_one_robot_is_enough_for_certain() -> None:
@@ -426,9 +426,9 @@ def test_the_headline_is_of_rollouts_that_had_no_part_in_the_choice() -> None:
     start = max(point.rollouts for point in found.points)
     plan = plan_team(world, found.starts[: found.robots], Settings())
     engine = make_engine_for(world, plan, choices)
-    runs = tally_mean(run_by_luck(engine, 3, start, own.rollouts)[0], "visited", 1.0 / found.cells)
+    runs = tally_mean(run_with_threshold_sums(engine, 3, start, own.rollouts)[0], "visited", 1.0 / found.cells)
     assert fresh.coverage == runs and fresh.coverage.mean != own.coverage.mean
-    assert f"{100 * fresh.coverage.mean:.4g} %" in size_headline(found) and "fresh rollouts" in size_headline(found)
+    assert f"{100 * fresh.coverage.mean:.4g} %" in size_summary(found) and "fresh rollouts" in size_summary(found)
     assert found.to_json()["confirmed"]["coverage"] == fresh.coverage.to_json()
 
 
@@ -493,7 +493,7 @@ def test_interrupted_while_a_team_is_rolled_out(monkeypatch: pytest.MonkeyPatch)
     assert size.robots is None
     assert size.to_json()["undecided"] == [1]
     assert size.point(1).rollouts == 8192
-    assert size_headline(size).startswith("Interrupted before the answer: nothing is decided yet")
+    assert size_summary(size).startswith("Interrupted before the answer: nothing is decided yet")
 
 
 @pytest.mark.parametrize(
@@ -599,7 +599,7 @@ def test_a_goal_picks_the_most_coverage_or_the_fewest_lost() -> None:
 
 
 def test_the_ladder_of_worth() -> None:
-    assert (first_worth(0.2), first_worth(0.03), first_worth(0.9)) == (5, 33, 1.1)
+    assert (first_robot_value(0.2), first_robot_value(0.03), first_robot_value(0.9)) == (5, 33, 1.1)
     assert between(10, 40) == 20 and between(200, 100) == 141
     assert Setting("per_cell", robot_value=0.1, deadline=7).options() == shlex.split(
         "--policy per_cell --robot-value 0.1 --deadline 7"
@@ -620,7 +620,7 @@ def test_around_a_goal_worths_are_tried_between() -> None:
     robot_values = sorted(lost)
     rungs = [robot_values[0] * 2.0**step for step in range(16)]
     tried = {robot_value for robot_value in robot_values if robot_value not in rungs}
-    assert robot_values[0] == first_worth(float(np.nanmax(one.world.threat)))
+    assert robot_values[0] == first_robot_value(float(np.nanmax(one.world.threat)))
     assert 1 <= len(tried) <= 3 and lost[robot_values[-1]] < 0.02
     assert any(lost[a] > 0.5 >= lost[b] and {a, b} & tried for a, b in pairwise(robot_values))
     assert len({p.figures for p in settings.values()}) == len(settings)
@@ -699,9 +699,9 @@ def test_the_pick_is_the_best_that_is_sure_to_keep_the_limit_on_other_rollouts()
     assert near.coverage.mean > picked.coverage.mean and near.losses.mean > picked.losses.mean
     sure = sorted((p for p in answer.points if p.most <= limit), key=lambda p: -p.coverage.mean)
     assert sure.index(picked) == answer.tried - 1
-    assert front_headline(answer).endswith(f"; the limit is at most {limit:g} of 2 robots lost.")
+    assert front_summary(answer).endswith(f"; the limit is at most {limit:g} of 2 robots lost.")
     assert f"The goal is met with confidence 0.95: on average {again.most:.2f} robots or fewer are lost." in [
-        *pick_lines(answer)
+        *selection_lines(answer)
     ]
 
 
@@ -724,9 +724,9 @@ def test_the_chance_of_error_is_shared_among_tries(monkeypatch: pytest.MonkeyPat
         assert asked_for == [0.05 / 2**n for n in range(1, len(asked_for) + 1)] and sum(asked_for) < 0.05
         if tried is None:
             assert answer.pick is None and len(asked_for) == 6 == answer.tried
-            assert "with confidence 0.95: at most 1.5 of 2 robots lost" in front_headline(answer)
+            assert "with confidence 0.95: at most 1.5 of 2 robots lost" in front_summary(answer)
         else:
-            assert answer.tried == tried and "It is the third setting tried" in " ".join(pick_lines(answer))
+            assert answer.tried == tried and "It is the third setting tried" in " ".join(selection_lines(answer))
 
 
 def test_without_a_goal_the_headline_is_of_fresh_rollouts(capsys: pytest.CaptureFixture[str], world_file: str) -> None:
@@ -734,7 +734,7 @@ def test_without_a_goal_the_headline_is_of_fresh_rollouts(capsys: pytest.Capture
     assert [point.setting for point in front.priced] == [point.setting for point in front.corners()]
     for point in front.priced:
         own = next(one for one in front.points if one.setting == point.setting)
-        assert f"{100 * point.coverage.mean:.1f} %" in front_headline(front)
+        assert f"{100 * point.coverage.mean:.1f} %" in front_summary(front)
         assert own.coverage.mean != point.coverage.mean or not own.coverage.half_width
     assert run(["front", world_file, "--rollouts", "300", "--exact", "never"]) == 0
     said = capsys.readouterr().out
@@ -780,16 +780,16 @@ def test_without_danger_every_run_is_the_same() -> None:
     assert {point.setting.family for point in answer.points} == {"mrac", "per_cell"}
     assert all(point.losses.ci95 == (0, 0) and point.coverage.half_width == 0 for point in answer.points)
     assert answer.picked is not None and answer.picked.coverage.mean >= 0.5
-    best, kept, *_ = pick_lines(answer)
+    best, kept, *_ = selection_lines(answer)
     assert ". Exact expectation: 100 % covered" in best or answer.picked.setting.deadline
     assert kept == "The goal is met: these figures are exact."
-    assert front_headline(answer).endswith("and lose no robot, on average (exact); the target is 50 % or more covered.")
+    assert front_summary(answer).endswith("and lose no robot, on average (exact); the target is 50 % or more covered.")
 
 
 def test_an_interruption_leaves_what_was_done() -> None:
     answer = mrac.front(WORLD_FRONT, rollouts=50, losses=1, progress=after(3), on_interrupt="return")
     assert answer.partial and len(answer.points) == 2 and answer.pick is None and answer.confirmed is None
-    assert answer.to_json()["partial"] is True and front_headline(answer) == "Interrupted after 2 settings."
+    assert answer.to_json()["partial"] is True and front_summary(answer) == "Interrupted after 2 settings."
     with pytest.raises(KeyboardInterrupt):
         mrac.front(WORLD_FRONT, rollouts=50, progress=after(1))
 
@@ -798,7 +798,7 @@ def test_the_front_prints_and_saves_itself(small: Front, tmp_path: Path) -> None
     files = {file.name for file in small.save(tmp_path / "out")}
     assert files == {"index.html", "front.png", "front.txt", "front.json", "plan.json"}
     page = (tmp_path / "out" / "index.html").read_text()
-    assert front_headline(small) in Reader(page).text and page_of(front_report(small), "", {}, ()) == page_of(
+    assert front_summary(small) in Reader(page).text and page_of(front_report(small), "", {}, ()) == page_of(
         front_report(small), "", {}, ()
     )
     *curves, mark = _front_chart(small, "time").series
@@ -990,12 +990,14 @@ def test_the_knee_is_the_best_bargain_between_two_settings() -> None:
     free = replace(middle, setting=Setting("per_cell", robot_value=9.0), coverage=exactly(0.3), losses=exactly(0.0))
     bent = replace(front, points=(free, middle, most), priced=(free, middle, most), words=("map.npy",))
     assert bent.corners() == (free, middle, most)
-    assert front_headline(bent) == (
+    assert front_summary(bent) == (
         "2 robots can cover 30.0 % and lose no robot, 99.0 % and lose 0.05 robots, or 100 % and lose both robots, "
         "on average."
     )
-    assert pick_lines(bent)[1] == "per_cell, robot value 7: 99.00 % covered, 0.05 robots lost."
-    assert any(line.startswith("run it: ") and "--robot-value 7 " in line for line in pick_lines(bent)), "the bargain"
+    assert selection_lines(bent)[1] == "per_cell, robot value 7: 99.00 % covered, 0.05 robots lost."
+    assert any(line.startswith("run it: ") and "--robot-value 7 " in line for line in selection_lines(bent)), (
+        "the bargain"
+    )
 
 
 def test_no_advice_where_nothing_is_in_danger_or_there_is_one_way_to_go() -> None:

@@ -53,8 +53,8 @@ from analysis.theory.verdicts import longest_mission, longest_run
 from planner.errors import UsageError
 from planner.failure_model import tolerances
 from planner.make_plan import make_plan
-from planner.rollouts.engine import Engine, Rolling, make_engine, run_by_luck, run_chunks
-from planner.rollouts.threshold_classes import CLASSES_A_NAT, COLUMNS, luck_classes, sums_by_luck
+from planner.rollouts.engine import Engine, Rolling, make_engine, run_chunks, run_with_threshold_sums
+from planner.rollouts.threshold_classes import CLASSES_A_NAT, COLUMNS, classes_by_threshold, sums_by_threshold
 from planner.settings import Settings
 from planner.simulator.thresholds import UNIT
 from planner.tally import Tally
@@ -390,13 +390,13 @@ def fitted(y: NDArray, total: NDArray[np.float64], robots: int) -> tuple[float, 
 def test_classes_are_of_the_tolerances(start: int, robots: int) -> None:
     """Also of rollout 345,731,376, whose total in whole units is in another class than the logarithm in floats."""
     expected = tolerances(7, np.arange(start, start + 500), robots).sum(axis=1) * CLASSES_A_NAT // UNIT
-    assert np.array_equal(luck_classes(7, start, 500, robots), expected)
+    assert np.array_equal(classes_by_threshold(7, start, 500, robots), expected)
 
 
 @pytest.mark.parametrize("robots", [1, 3, 8, 40])
 def test_what_is_expected_of_a_class_is_what_is_met(robots: int) -> None:
     """Of 100,000 teams, within 5 standard errors; and close to what is known of the total itself."""
-    middle = (luck_classes(1, 0, 100_000, robots) + 0.5) / CLASSES_A_NAT
+    middle = (classes_by_threshold(1, 0, 100_000, robots) + 0.5) / CLASSES_A_NAT
     met, known = broken(middle, robots), expected_pieces(robots)
     assert (abs(met.mean(axis=0) - known) <= 5 * met.std(axis=0) / np.sqrt(len(met))).all()
     assert known[0] == pytest.approx(0.0, abs=0.021) and known[3] == pytest.approx(16 * above_median(robots), rel=0.02)
@@ -410,18 +410,18 @@ def above_median(robots: int) -> float:
 
 def test_sums_are_those_of_the_rollouts_however_they_are_shared_out() -> None:
     engine = engine_of(load_world_file(CONTIGUOUS), 4, seed=3)
-    whole, results = run_by_luck(engine, 3, 0, 3000)
+    whole, results = run_with_threshold_sums(engine, 3, 0, 3000)
     *_, last = run_chunks(engine, 3000, chunk=700, by_luck=3)
     assert last.tally == whole
     assert [tally_mean(last.tally, figure) for figure in FIGURES[:4]] == [tally_mean(whole, f) for f in FIGURES[:4]]
     sums = whole.by_luck.reshape(-1, len(COLUMNS)).sum(axis=0)
     assert sums.tolist() == [3000, *(int(getattr(results, f).sum()) for f in FIGURES[:4]), int(whole.outcomes[0])]
-    assert np.array_equal(whole.by_luck, sums_by_luck(results, 3, 4))
+    assert np.array_equal(whole.by_luck, sums_by_threshold(results, 3, 4))
 
 
 def test_means_and_errors_are_the_regression_s() -> None:
-    tally, results = run_by_luck(engine_of(load_world_file(SCATTERED), 8), 0, 0, 2048)
-    total = (luck_classes(0, 0, 2048, 8) + 0.5) / CLASSES_A_NAT
+    tally, results = run_with_threshold_sums(engine_of(load_world_file(SCATTERED), 8), 0, 0, 2048)
+    total = (classes_by_threshold(0, 0, 2048, 8) + 0.5) / CLASSES_A_NAT
     for figure in FIGURES[:3]:
         y = getattr(results, figure).astype(float)
         mean, error, variance = fitted(y, total, 8)
@@ -450,9 +450,9 @@ def test_a_figure_that_the_luck_tells_is_known() -> None:
 
 def test_below_so_many_rollouts_and_without_the_sums_it_is_the_plain_mean() -> None:
     engine = engine_of(load_world_file(SCATTERED), 4)
-    few, _ = run_by_luck(engine, 0, 0, LEAST - 1)
+    few, _ = run_with_threshold_sums(engine, 0, 0, LEAST - 1)
     assert tally_mean(few, "visited") == mean_estimate(few.visited, 1.0)
-    half = run_by_luck(engine, 0, 0, LEAST)[0] + engine.tally(LEAST, LEAST)
+    half = run_with_threshold_sums(engine, 0, 0, LEAST)[0] + engine.tally(LEAST, LEAST)
     assert tally_mean(half, "time", 0.5, 10_000) == mean_estimate(half.time, 0.5, 10_000)
     assert complete_chance(half) == proportion(int(half.outcomes[0]), half.rollouts)
 
@@ -460,7 +460,7 @@ def test_below_so_many_rollouts_and_without_the_sums_it_is_the_plain_mean() -> N
 def test_what_was_not_seen_counts_as_without_the_control() -> None:
     """No run of 1,024 lost a robot, which one in a million does: the interval is as wide."""
     world = World.create([[0.0, 1e-6, 0.0]])
-    tally, _ = run_by_luck(engine_of(world, 1), 0, 0, LEAST)
+    tally, _ = run_with_threshold_sums(engine_of(world, 1), 0, 0, LEAST)
     assert int(tally.visited[3]) == LEAST
     for figure in ("visited", "survived", "time"):
         assert tally_mean(tally, figure).ci95 == pytest.approx(mean_estimate(getattr(tally, figure), 1.0).ci95)
@@ -488,7 +488,7 @@ def held(world: World, robots: int, policy: str, seeds: int) -> tuple[NDArray[np
 def test_samples_of_a_long_run_are_the_runs_by_themselves() -> None:
     engine = engine_of(load_world_file(CONTIGUOUS), 4, seed=3)
     for number, mine in enumerate(samples(engine, 3, 3, first=500)):
-        whole, _ = run_by_luck(engine, 3, 500 + number * LEAST, LEAST)
+        whole, _ = run_with_threshold_sums(engine, 3, 500 + number * LEAST, LEAST)
         assert mine.ids == whole.ids and np.array_equal(mine.by_luck, whole.by_luck)
         assert estimates(mine) == estimates(whole)
 
@@ -532,7 +532,7 @@ def test_differences_are_put_right_too() -> None:
     sums = [sides.reshape(-1, len(COLUMNS)) for sides in answer.by_luck]
     engines = [make_engine(plan, world, Rolling(), "numba").results(0, 4096) for plan in plans]
     y = (engines[1].visited - engines[0].visited) / answer.a.cells
-    mean, error, variance = fitted(y, (luck_classes(0, 0, 4096, 8) + 0.5) / CLASSES_A_NAT, 8)
+    mean, error, variance = fitted(y, (classes_by_threshold(0, 0, 4096, 8) + 0.5) / CLASSES_A_NAT, 8)
     found = answer.difference("visited")
     assert found.estimate.mean == pytest.approx(mean, rel=1e-9)
     assert found.estimate.se == pytest.approx(error, rel=1e-7) and variance < y.var()

@@ -53,7 +53,7 @@ from analysis.sweeps.sweep import Sweep, run_sweep
 from planner.errors import PER_VISIT, InputError, ScenarioError, UsageError
 from planner.make_plan import make_plan
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
-from planner.rollouts.threshold_classes import luck_classes
+from planner.rollouts.threshold_classes import classes_by_threshold
 from planner.settings import Settings
 from planner.tally import Tally
 from planner.world.generate import ThreatPattern, random_world
@@ -173,7 +173,7 @@ def test_rows_are_put_right_by_what_all_maps_tell_of_luck(tmp_path: Path, monkey
             plan = make_plan(world, place_starts(world, robots)[0], Settings(policy=policy))
             loop = compile_closed_loop(plan, world)
             y.append(run_range(loop, seed, 0, 200, singles=True)[1].visited / len(loop.cells))  # type: ignore[union-attr]
-            luck.append(pieces(luck_classes(seed, 0, 200, robots), robots) - expected_pieces(robots))
+            luck.append(pieces(classes_by_threshold(seed, 0, 200, robots), robots) - expected_pieces(robots))
         fit = np.linalg.lstsq(np.hstack([levels, np.concatenate(luck)]), np.concatenate(y), rcond=None)[0]
         means.append(fit[:6])
         found, change = row.estimate("visited"), row.difference("visited")

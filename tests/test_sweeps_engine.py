@@ -28,7 +28,7 @@ from planner.arguments import BLOCK
 from planner.errors import InputError, UsageError
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop
-from planner.rollouts.engine import closed_loop_engine, run_by_luck
+from planner.rollouts.engine import closed_loop_engine, run_with_threshold_sums
 from planner.rollouts.loop import ClosedLoop
 from planner.settings import Choices
 from planner.tally import Tally
@@ -55,7 +55,7 @@ def facts_in(store: Store, key: str) -> Any:
 
 def counted(loop: ClosedLoop, count: int) -> Tally:
     """The tally of the first rollouts, as sweeps keep it."""
-    return run_by_luck(closed_loop_engine(loop, 4, "numba"), 4, 0, count)[0]
+    return run_with_threshold_sums(closed_loop_engine(loop, 4, "numba"), 4, 0, count)[0]
 
 
 def contents(store: Store) -> dict[str, tuple[Any, Tally | None]]:

@@ -33,17 +33,17 @@ from test_house import imports_of
 import mrac_jax as mrac
 from analysis.checking.report import check_report
 from analysis.cli.app import run
+from analysis.evaluation.report import remainder_text
 from analysis.evaluation.report import report as evaluation_report
-from analysis.evaluation.report import rest_words
 from analysis.report.answer import print_report
 from analysis.theory import flow_programme as single
 from analysis.theory.bounds import (
-    MendedTheorem3,
+    CorrectedTheorem3,
     Theorem3,
     all_bounds,
+    corrected_theorem3,
     ideal_connected,
     ideal_team,
-    mended_theorem3,
     reach_chances,
     until_first_loss,
 )
@@ -244,7 +244,7 @@ def paths(world: World, *cells: list[int]) -> Plan:
     return Plan(world.shape, world.sha256, None, tuple(RobotPlan(np.array(path)) for path in cells))
 
 
-def in_order(bound: MendedTheorem3, truth: float) -> bool:
+def in_order(bound: CorrectedTheorem3, truth: float) -> bool:
     return bound.count <= bound.largest + NEAR and bound.largest <= bound.spread + NEAR and bound.spread <= truth + NEAR
 
 
@@ -252,7 +252,7 @@ def in_order(bound: MendedTheorem3, truth: float) -> bool:
 
 
 def test_theorem_3_mended_holds_on_every_fixture(fixture: Fixture) -> None:
-    bound, truth = mended_theorem3(fixture.plan, fixture.world), fixture.answers["open_loop_exact"]
+    bound, truth = corrected_theorem3(fixture.plan, fixture.world), fixture.answers["open_loop_exact"]
     assert in_order(bound.visited, truth["visited"])
     assert in_order(bound.survived, truth["survived"])
     if fixture.answers["k"] <= 2:
@@ -264,7 +264,7 @@ def test_theorem_3_mended_holds_on_every_fixture(fixture: Fixture) -> None:
 def test_theorem_3_mended_holds_on_random_worlds(given_world: tuple[World, np.ndarray]) -> None:
     world, starts = given_world
     plan = make_plan(world, starts)
-    bound, truth = mended_theorem3(plan, world), open_loop_exact(plan, world)
+    bound, truth = corrected_theorem3(plan, world), open_loop_exact(plan, world)
     assert in_order(bound.visited, truth.visited)
     assert in_order(bound.survived, truth.survived)
     expected = sum(alone.visited for alone in all_bounds(plan, world).eq4)
@@ -279,12 +279,12 @@ def test_theorem_3_mended_by_hand() -> None:
     """Three robots through the cells 0 and 2 (p = .5) to cell 1; E(R) = 2, 2, 1.5; cell 1 has chances .5, .5, .5."""
     world = World.create([[0.5, 0.0, 0.5]])
     plan = paths(world, [0, 1], [0, 1], [2, 1])
-    bound = mended_theorem3(plan, world)
+    bound = corrected_theorem3(plan, world)
     # visited: cell 0 twice for certain, cell 1 three times with chance .5
-    assert bound.visited == MendedTheorem3(count=4.5 - 1 - 2, largest=4.5 - 1 - 1, spread=2 + 1 - 0.5**3)
+    assert bound.visited == CorrectedTheorem3(count=4.5 - 1 - 2, largest=4.5 - 1 - 1, spread=2 + 1 - 0.5**3)
     assert bound.visited.spread == open_loop_exact(plan, world).visited == 2.875
     # survived: cell 0 with .5 and .5, cell 1 with .5 three times, cell 2 with .5
-    assert bound.survived == MendedTheorem3(count=3 - 1 - 2, largest=3 - 0.5 - 1, spread=0.75 + 0.875 + 0.5)
+    assert bound.survived == CorrectedTheorem3(count=3 - 1 - 2, largest=3 - 0.5 - 1, spread=0.75 + 0.875 + 0.5)
 
 
 def test_theorem_3_mended_is_short_only_where_the_others_differ() -> None:
@@ -292,15 +292,15 @@ def test_theorem_3_mended_is_short_only_where_the_others_differ() -> None:
     world = World.create([[0.5, 0.0, 0.5], [0.75, 0.0, 0.0]])
     plan = paths(world, [0, 1], [2, 1], [3, 4, 1])
     expected, on_cell_1 = 2 * 1.5 + 1.5, 1.25
-    assert mended_theorem3(plan, world).visited.spread == expected - (on_cell_1 - (1 - 0.5 * 0.625**2))
+    assert corrected_theorem3(plan, world).visited.spread == expected - (on_cell_1 - (1 - 0.5 * 0.625**2))
     assert open_loop_exact(plan, world).visited == expected - (on_cell_1 - (1 - 0.5 * 0.5 * 0.75))
 
 
 def test_without_threats_every_form_counts_the_cells() -> None:
     world = World.create(np.zeros((3, 5)))
     plan = make_plan(world, [[0, 0], [0, 0], [2, 4]])
-    bound = mended_theorem3(plan, world)
-    assert bound.visited == bound.survived == MendedTheorem3(15.0, 15.0, 15.0)
+    bound = corrected_theorem3(plan, world)
+    assert bound.visited == bound.survived == CorrectedTheorem3(15.0, 15.0, 15.0)
 
 
 # --- until the first loss ---
@@ -973,7 +973,7 @@ def test_what_is_too_far_to_come_home_from_is_not_in_the_bound() -> None:
         answer = mrac.evaluate(world, plan, rollouts=64)
         assert 2.7 < answer.bounds.least.cells <= 3
         assert answer.rest is not None
-        said = next(iter(rest_words(answer, answer.rest)))
+        said = next(iter(remainder_text(answer, answer.rest)))
         assert "4 accessible cells (57.1 %) are too far for any robot to visit and return" in said
     ends = mrac.evaluate(world, mrac.plan(world, 1, range=4), rollouts=64)
     assert 4.4 < ends.bounds.least.cells <= 5

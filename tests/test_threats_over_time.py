@@ -20,12 +20,12 @@ from oracle_tree import plain_areas
 from analysis.theory.exact import open_loop_exact
 from planner.arguments import MAX_STEP
 from planner.errors import InputError
-from planner.failure_model import Bearing
+from planner.failure_model import FailureModel
 from planner.make_plan import make_plan
 from planner.plan.plan import Plan, RobotPlan
 from planner.plan.plan_file import read_plan_json
 from planner.plan_team import read_plan, read_plan_on
-from planner.rollout_sampling import Roaming, first_places, ways_of_movers
+from planner.rollout_sampling import MovingThreatRun, first_places, threat_paths
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.exact_tree import grow_tree
@@ -38,7 +38,7 @@ from planner.world.features import PLAN_ON, as_before, with_movers
 from planner.world.generate import Stream, ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.moving_threats import PLAN_ON as PHASES_PLAN_ON
-from planner.world.moving_threats import Foresight, Mover
+from planner.world.moving_threats import Foresight, MovingThreat
 from planner.world.scenario import load_input
 from planner.world.world import World, load_world_file
 
@@ -65,7 +65,9 @@ def test_teams_of_more_than_a_word_and_maps_without_tables(policy: str) -> None:
 
 
 def test_another_planners_robots_wait_and_are_met() -> None:
-    world = with_movers(World.create(np.zeros((3, 4))), [Mover(0.3, 0.5), Mover(0.5, 0.0, 5, (5, 6, 10, 9))])
+    world = with_movers(
+        World.create(np.zeros((3, 4))), [MovingThreat(0.3, 0.5), MovingThreat(0.5, 0.0, 5, (5, 6, 10, 9))]
+    )
     paths = [[0, 0, 1, 1, 1, 2, 3], [8, 9, 10, 10, 11, 7]]
     plan = Plan(world.shape, world.sha256, None, tuple(RobotPlan(np.array(path)) for path in paths))
     play_both_ways(plan, world, 3, 8)
@@ -114,7 +116,9 @@ def test_a_visit_is_survived_by_who_is_alive_at_the_end_of_its_step() -> None:
 
 def test_draws_are_at_the_counters_that_the_spec_names() -> None:
     """Places and hits of two movers and three robots, from Threefry itself."""
-    world = with_movers(World.create(np.zeros((2, 3))), [Mover(0.4, 0.3), Mover(0.6, 0.0, -1, (0, 1, 4, 3))])
+    world = with_movers(
+        World.create(np.zeros((2, 3))), [MovingThreat(0.4, 0.3), MovingThreat(0.6, 0.0, -1, (0, 1, 4, 3))]
+    )
     assert world.movers is not None
     seed, rollout, (moves, hits) = 7, 5, (threefry2x32((7, 0), 0x48415A44, purpose) for purpose in (3, 4))
     beside = {0: (1, 3), 1: (0, 2, 4), 2: (1, 5), 3: (0, 4), 4: (1, 3, 5), 5: (2, 4)}
@@ -125,7 +129,7 @@ def test_draws_are_at_the_counters_that_the_spec_names() -> None:
         return int(x0), int(x1)
 
     walker, place = weight[drawn(moves, 0)[0] * 14 >> 32], drawn(moves, 1)[0] * 4 >> 32
-    roaming = Roaming(world.movers, seed, rollout, 3)
+    roaming = MovingThreatRun(world.movers, seed, rollout, 3)
     for step in range(40):
         x0, x1 = drawn(moves, (step + 1) * 2)
         if (x0 >> 8) / 2**24 >= np.float32(0.3):
@@ -151,13 +155,13 @@ def alone(world: World, start: tuple[int, int] | None = None) -> Plan:
 @pytest.mark.parametrize(
     "movers",
     [
-        [Mover(0.4, 0.25)],
-        [Mover(1.0, 0.0, 4)],
-        [Mover(0.6, 0.0, 4, (4, 5, 8, 7)), Mover(0.3, 0.5, 8)],
-        [Mover(0.5, 0.0, -1, (0, 1, 4, 3)), Mover(0.5, 0.1)],
+        [MovingThreat(0.4, 0.25)],
+        [MovingThreat(1.0, 0.0, 4)],
+        [MovingThreat(0.6, 0.0, 4, (4, 5, 8, 7)), MovingThreat(0.3, 0.5, 8)],
+        [MovingThreat(0.5, 0.0, -1, (0, 1, 4, 3)), MovingThreat(0.5, 0.1)],
     ],
 )
-def test_one_robot_is_known_exactly_as_enumeration_has_it(movers: list[Mover]) -> None:
+def test_one_robot_is_known_exactly_as_enumeration_has_it(movers: list[MovingThreat]) -> None:
     world = with_movers(SMALL, movers)
     whole = [(0, 0), (0, 1), (1, 1), (1, 1), (1, 0), (1, 1), (1, 2), (2, 2), (2, 1)]
     for path in (whole[:6], whole[4:], [(1, 0), (1, 1), (1, 1), (1, 1), (1, 0), (0, 0)]):
@@ -191,7 +195,7 @@ def test_rollouts_of_one_robot_are_at_the_exact_values(seed: int) -> None:
 def test_a_mover_that_stays_is_a_threat_that_stands() -> None:
     """Met once, by a robot that does not wait: in both meanings of covered."""
     plain = World.create(np.zeros((1, 6)))
-    moving = with_movers(plain, [Mover(0.25, 1.0, 3)])
+    moving = with_movers(plain, [MovingThreat(0.25, 1.0, 3)])
     standing = World.create([[0, 0, 0, 0.25, 0, 0]])
     path = (RobotPlan(np.arange(6)),)
     one, other = (open_loop_exact(Plan(world.shape, world.sha256, None, path), world) for world in (moving, standing))
@@ -202,11 +206,11 @@ def test_a_mover_that_stays_is_a_threat_that_stands() -> None:
 def test_movers_stay_where_they_are_in_the_long_run() -> None:
     """Who starts anywhere is at every step in a cell with the chance of `joined`, within 5 standard errors."""
     world = moving_world(9, most=5)
-    walker = with_movers(replace(world, threat=world.met, doubt=None), [Mover(0.3, 0.2)], "joined")
+    walker = with_movers(replace(world, threat=world.met, doubt=None), [MovingThreat(0.3, 0.2)], "joined")
     assert walker.movers is not None
     chance, n = walker.movers.chances(walker.movers.members[0]).ravel(), 1500
     starts = np.bincount(first_places(walker.movers, 4, range(n))[:, 0], minlength=chance.size)
-    later = np.bincount([int(ways_of_movers(walker, 4, one, 4)[-1, 0]) for one in range(n)], minlength=chance.size)
+    later = np.bincount([int(threat_paths(walker, 4, one, 4)[-1, 0]) for one in range(n)], minlength=chance.size)
     for counts in (starts, later):
         spread = np.sqrt(n * np.maximum(chance * (1 - chance), 1 / n))
         assert np.abs((counts - n * chance) / spread).max() < 5
@@ -215,8 +219,8 @@ def test_movers_stay_where_they_are_in_the_long_run() -> None:
 
 
 def test_a_patrol_goes_round_and_is_missed_by_who_changes_places_with_it() -> None:
-    world = with_movers(World.create(np.zeros((2, 3))), [Mover(1.0, 0.0, 4, (0, 1, 4, 3))])
-    assert ways_of_movers(world, 0, 0, 6)[:, 0].tolist() == [3, 0, 1, 4, 3, 0]
+    world = with_movers(World.create(np.zeros((2, 3))), [MovingThreat(1.0, 0.0, 4, (0, 1, 4, 3))])
+    assert threat_paths(world, 0, 0, 6)[:, 0].tolist() == [3, 0, 1, 4, 3, 0]
     for path, survives in (([4, 1, 4, 3], 1.0), ([3, 4], 0.0), ([5, 5, 5, 4], 0.0), ([0, 3, 4, 1], 1.0)):
         plan = Plan(world.shape, world.sha256, None, (RobotPlan(np.array(path)),))
         assert open_loop_exact(plan, world).survival[0] == survives, path
@@ -240,15 +244,15 @@ def test_a_scenario_and_its_world_file(tmp_path: Path) -> None:
         "- {patrol: [[0, 0], [0, 1], [1, 1], [1, 0]], start: [1, 1], h: 0.5}\n- {patrol: [[1, 1], [1, 2]], h: 0.5}\n",
     )
     assert world.movers is not None
-    square = Mover(0.5, 0.0, 4, (0, 1, 4, 3))
-    expected = (*[Mover(0.25, 0.5)] * 3, Mover(1.0, 0.0, 4), square, Mover(0.5, 0.0, -1, (4, 5)))
+    square = MovingThreat(0.5, 0.0, 4, (0, 1, 4, 3))
+    expected = (*[MovingThreat(0.25, 0.5)] * 3, MovingThreat(1.0, 0.0, 4), square, MovingThreat(0.5, 0.0, -1, (4, 5)))
     assert world.movers.members == expected
     assert "4 walk and 2 patrol, and destroy a robot that they meet with probability 0.25 to 1" in repr(world)
     world.save(tmp_path / "w.npz")
     again = load_world_file(tmp_path / "w.npz")
     assert again.movers is not None
     assert again.movers.members == expected
-    assert again.luck_sha256 == world.luck_sha256 == load_input(tmp_path / "w.npz").luck_sha256
+    assert again.randomness_sha256 == world.randomness_sha256 == load_input(tmp_path / "w.npz").randomness_sha256
     both = "moving_threats: [{walk: 0.5, h: 0.25}, {patrol: [[0, 0], [0, 1]], h: 0.5}]\nplan_on: "
     assert not np.nan_to_num(scenario(tmp_path, both + "own").threat).any()
     np.testing.assert_allclose(np.nan_to_num(scenario(tmp_path, both + "patrols").threat[0]), [0.25, 0.25, 0])
@@ -267,7 +271,7 @@ def test_robots_plan_on_those_that_have_a_route_unless_something_else_is_said(tm
     assert note.startswith("`plan_on` is not given: robots plan on the moving threats that have a route (patrols)")
     assert "`plan_on: joined`" in note and "\n" not in note and not any(one.notes for one in said.values())
     lone = World.create([[0.0, np.nan, 0.0]])
-    sure = with_movers(lone, [Mover(1.0, 0.0, 2)])  # `joined` refuses it
+    sure = with_movers(lone, [MovingThreat(1.0, 0.0, 2)])  # `joined` refuses it
     assert as_before(sure) is sure
     (note,) = scenario(tmp_path, "moving_threats: [{patrol: [[0, 0], [0, 1]], h: 0.5}]\n").notes
     assert world.movers is not None
@@ -342,7 +346,7 @@ def test_a_wrong_mover_is_one_line(tmp_path: Path, more: str, said: str) -> None
 def test_what_would_be_certain_or_does_not_fit_is_refused(tmp_path: Path) -> None:
     lone = World.create([[0.0, np.nan, 0.0]])
     with pytest.raises(InputError, match=r"makes p 1 at \[0, 2\].*make it an obstacle"):
-        with_movers(lone, [Mover(1.0, 0.0, 2)], "joined")
+        with_movers(lone, [MovingThreat(1.0, 0.0, 2)], "joined")
     world = moving_world(1)
     world.save(tmp_path / "w.npz")
     arrays = dict(np.load(tmp_path / "w.npz"))
@@ -508,7 +512,7 @@ def test_who_wears_bears_what_each_phase_brings() -> None:
     exact = open_loop_exact(make_plan(world, [[0, 0]], Settings(weibull_shape=3.0)), world)
     borne = -np.log1p(-np.float64(np.float32(0.5)))  # it enters [0, 4] at step 4, safe in both; nothing before
     assert exact.survival[0] == 1.0 and borne > 0
-    back = Plan(world.shape, world.sha256, None, (RobotPlan(np.array([0, 1, 2, 3, 2, 1])),), bears=Bearing(3.0))
+    back = Plan(world.shape, world.sha256, None, (RobotPlan(np.array([0, 1, 2, 3, 2, 1])),), bears=FailureModel(3.0))
     scale = round(2**20 / gamma(1 + 1 / 3)) / 2**20
     assert open_loop_exact(back, world).survival[0] == pytest.approx(np.exp(-((2 * borne / scale) ** 3)), rel=1e-4)
 
@@ -566,7 +570,7 @@ def test_a_scenario_and_its_world_file_phases(tmp_path: Path) -> None:
         np.testing.assert_allclose(shown, planned, rtol=1e-6)
         world.save(tmp_path / "w.npz", force=True)
         again = load_world_file(tmp_path / "w.npz")
-        assert again.luck_sha256 == world.luck_sha256 == load_input(tmp_path / "w.npz").luck_sha256
+        assert again.randomness_sha256 == world.randomness_sha256 == load_input(tmp_path / "w.npz").randomness_sha256
         assert "threats that change at step 4; " in repr(again)
     whole = scenario_phases(
         tmp_path, SCENARIO_PHASES.replace("threats: [{raster: a.npy}]\n", "").replace("from: 4", "from: 0")

@@ -143,9 +143,9 @@ def test_a_world_file_holds_what_is_in_doubt(tmp_path: Path) -> None:
         world = make()
         world.save(tmp_path / "world.npz", force=True)
         for again in (load_world_file(tmp_path / "world.npz"), load_input(tmp_path / "world.npz")):
-            assert again.luck_sha256 == world.luck_sha256, name
+            assert again.randomness_sha256 == world.randomness_sha256, name
             assert again.sha256 == world.sha256
-    assert BASE.luck_sha256 == BASE.sha256
+    assert BASE.randomness_sha256 == BASE.sha256
 
 
 def scenario(folder: Path, more: str, threats: str = "[{raster: p.csv}]") -> World:
@@ -161,19 +161,19 @@ def scenario(folder: Path, more: str, threats: str = "[{raster: p.csv}]") -> Wor
 
 def test_a_scenario_names_hazards_and_maps(tmp_path: Path) -> None:
     mines = scenario(tmp_path, "latent_hazard: {kind: consumed, h: 0.5}")
-    assert mines.luck_sha256 == with_hazard(TINY, "consumed", TINY.threat, 0.5).luck_sha256
+    assert mines.randomness_sha256 == with_hazard(TINY, "consumed", TINY.threat, 0.5).randomness_sha256
     weak = scenario(tmp_path, "latent_hazard: {kind: persistent, q: 0.25, h: threats}")
-    assert weak.luck_sha256 == with_hazard(TINY, "persistent", 0.25, TINY.threat).luck_sha256
+    assert weak.randomness_sha256 == with_hazard(TINY, "persistent", 0.25, TINY.threat).randomness_sha256
     raster = scenario(tmp_path, "latent_hazard: {kind: persistent, q: p.csv, h: other.csv}", "[]")
-    assert raster.luck_sha256 == with_hazard(TINY, "persistent", TINY.threat, 2 * TINY.threat).luck_sha256
-    assert scenario(tmp_path, "latent_hazard: {kind: independent}").luck_sha256 == TINY.sha256
+    assert raster.randomness_sha256 == with_hazard(TINY, "persistent", TINY.threat, 2 * TINY.threat).randomness_sha256
+    assert scenario(tmp_path, "latent_hazard: {kind: independent}").randomness_sha256 == TINY.sha256
     maps = scenario(tmp_path, "map_uncertainty: {maps: [p.csv, other.csv], plan_on: 0.9}", "[]")
-    assert maps.luck_sha256 == with_maps(TINY, [TINY.threat, 2 * TINY.threat], 0.9).luck_sha256
+    assert maps.randomness_sha256 == with_maps(TINY, [TINY.threat, 2 * TINY.threat], 0.9).randomness_sha256
     np.testing.assert_array_equal(maps.threat, 2 * TINY.threat)
     doses = scenario(tmp_path, "map_uncertainty: {maps: [p.csv, other.csv], rule: {kind: linear, scale: 0.5}}", "[]")
     np.testing.assert_allclose(doses.threat, 0.75 * TINY.threat, rtol=1e-6)
     spread = scenario(tmp_path, "map_uncertainty: {spread: {kind: beta, sample_size: 9, by: level}, plan_on: mean}")
-    assert spread.luck_sha256 == with_spread(TINY, "beta", 9.0, "level").luck_sha256
+    assert spread.randomness_sha256 == with_spread(TINY, "beta", 9.0, "level").randomness_sha256
 
 
 BAD = {

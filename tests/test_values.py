@@ -30,7 +30,7 @@ from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.value import Units, found_chances, value_table
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import Estimate, tail_mean, times_to
-from analysis.statistics.variance_reduction import LEAST, CommonLuck
+from analysis.statistics.variance_reduction import LEAST, CommonThresholds
 from analysis.theory.exact import Worth, open_loop_found
 from planner.errors import RenamedWarning, WorldError
 from planner.formatting import percent
@@ -42,7 +42,7 @@ from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.single_run import SingleRun
 from planner.rollouts.single_run import play as played
-from planner.rollouts.threshold_classes import CLASSES_A_NAT, luck_classes
+from planner.rollouts.threshold_classes import CLASSES_A_NAT, classes_by_threshold
 from planner.settings import Settings
 from planner.simulator.state import MOST_PASSES
 from planner.tally import Tally
@@ -293,11 +293,11 @@ def means(world: World, plan: Plan, seed: int, samples: int = 1) -> list[list[Es
     one after the other, and of them all."""
     units, robots = Units.of(Worth.of(world)), len(plan.robots)
     engine = make_engine(plan, world, Rolling(seed=seed), "numba").weighing(units.covered, units.found)
-    results, classes = engine.results(0, samples * LEAST), luck_classes(seed, 0, samples * LEAST, robots)
+    results, classes = engine.results(0, samples * LEAST), classes_by_threshold(seed, 0, samples * LEAST, robots)
     told = []
     for own in [*(slice(start, start + LEAST) for start in range(0, samples * LEAST, LEAST)), slice(None)]:
         pairs = [(column[own], classes[own]) for column in (results.worth_covered, results.worth_found)]
-        lucks = [CommonLuck.of(robots, luck, column, column) for column, luck in pairs]
+        lucks = [CommonThresholds.of(robots, luck, column, column) for column, luck in pairs]
         told.append(
             [
                 mean_value(x, units.worth.total, world.threat.size, False, y)
@@ -312,7 +312,7 @@ def test_value_is_put_right_by_luck() -> None:
     world, plan = valued("contiguous", 0, 8)
     units = Units.of(Worth.of(world))
     results = make_engine(plan, world, Rolling(seed=3), "numba").weighing(units.covered, units.found).results(0, LEAST)
-    total = (luck_classes(3, 0, LEAST, 8) + 0.5) / CLASSES_A_NAT
+    total = (classes_by_threshold(3, 0, LEAST, 8) + 0.5) / CLASSES_A_NAT
     for found, column in zip(means(world, plan, 3)[0], (results.worth_covered, results.worth_found), strict=True):
         value = column / 2**40 * Worth.of(world).total
         mean, error, _ = fitted(value, total, 8)

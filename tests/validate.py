@@ -58,9 +58,9 @@ class Facts:
         return self.plan.settings is not None and self.plan.settings.policy != "mrac"
 
     @property
-    def breaks_off(self) -> bool:
+    def preempts(self) -> bool:
         """Its robots may change their minds while they cover, too."""
-        return self.plan.settings is not None and self.plan.settings.rule.breaks_off
+        return self.plan.settings is not None and self.plan.settings.rule.preempts
 
     def broken(
         self, rule: str, *, robot: int | None = None, step: int | None = None, cell: int | None = None
@@ -334,7 +334,7 @@ def validate(plan: Plan, world: World) -> list[Violation]:
     if plan.state is not None:
         return found
     found += _end_rules(facts)
-    if plan.is_foreign:
+    if plan.is_external:
         return found
     if unusable := list(area_shape_rules(facts)):
         return found + unusable
@@ -381,7 +381,7 @@ def _path_rules(facts: Facts, robot: int) -> Iterator[Violation]:
 def _end_rules(facts: Facts) -> Iterator[Violation]:
     """outcome, called-off, theorem-1, time: how the run ends follows from who visited what when."""
     plan, firsts = facts.plan, facts.first[facts.accessible]
-    if plan.outcome not in OUTCOMES or plan.is_foreign != (plan.outcome == "end_of_paths"):
+    if plan.outcome not in OUTCOMES or plan.is_external != (plan.outcome == "end_of_paths"):
         yield facts.broken("outcome")
         return
     able = [int(facts.region[r.path[0]]) for i, r in enumerate(plan.robots) if i not in facts.ended]
@@ -502,7 +502,7 @@ def _cover_rules(facts: Facts, robot: int, leg: Leg, history: History) -> Iterat
         yield facts.broken("cover-ends", robot=robot, step=leg.stop - 1, cell=path[leg.stop - 1])
     kept = cells[history.holder[cells] == leg.area]
     late = kept[facts.first[kept] > (leg.stop if cut_short else leg.stop - 1)]
-    if len(late) and not facts.breaks_off:
+    if len(late) and not facts.preempts:
         yield facts.broken("cover-all", robot=robot, step=leg.stop - 1, cell=late[0])
 
 
@@ -513,7 +513,7 @@ def _claim_rules(facts: Facts, shared: frozenset[int]) -> Iterator[Violation]:
     """
     plan = facts.plan
     if facts.adaptive:
-        yield from () if facts.breaks_off else _cover_claims(facts)
+        yield from () if facts.preempts else _cover_claims(facts)
         return
     claims: dict[int, tuple[int, set[str]]] = {}
     for robot, given in enumerate(plan.robots):

@@ -30,7 +30,7 @@ from analysis.theory.verdicts import (
     Truth,
     Verdict,
     closed_checks,
-    doubt_of_each,
+    error_of_each,
     nominal_checks,
     of_formula,
     own_bounds,
@@ -104,7 +104,7 @@ class MapCheck(Answer):
 
 def check_world(world: World) -> None:
     """Raise WorldError for a world that the formulas do not apply to."""
-    world.check_settled("a check of the formulas")
+    world.require_certain_map("a check of the formulas")
 
 
 def check_map(
@@ -136,11 +136,11 @@ def check_map(
     own = own_bounds(plan, world, bounds, limit)
     truths = {meaning: Truth.known(getattr(exact, meaning)) for meaning in MEANINGS}
     checks = [*paper_checks(plan, world, exact, bounds), *own_checks(own, truths, "open", cells)]
-    if alone is None and not plan.is_foreign:
+    if alone is None and not plan.is_external:
         alone = make_plan(world, plan.starts[:1], plan.settings and plan.settings.alone)
     checks += nominal_checks(plan, world, alone)
-    doubt, closed = doubt_of_each(figures), None
-    if not plan.is_foreign:
+    doubt, closed = error_of_each(figures), None
+    if not plan.is_external:
         closed = closed_truth(plan, world, exact, choices, kept)
         if closed is None:
             tally = sample()
@@ -157,7 +157,7 @@ def check_map(
 
 def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None) -> tuple[str, ...]:
     """Notes on the omitted formulas."""
-    if plan.is_foreign:
+    if plan.is_external:
         return (f"the {plan.origin} has no areas: eq. (5), the theorems and the closed loop are omitted",)
     made, out = {check.formula for check in checks}, []
     robots = {check.robot for check in of_formula(checks, "eq5_printed")}
@@ -202,9 +202,9 @@ def check_input(
     Raises:
         InputError: the formulas do not apply to this input.
     """
-    plan.bearing.check_known("a check of the formulas")
+    plan.failure_model.check_known("a check of the formulas")
     if plan.settings is not None:
-        plan.settings.check_alike("a check of the formulas")
+        plan.settings.require_uniform("a check of the formulas")
     if plan.state is not None:
         raise UsageError(
             "the plan resumes a mission; the formulas apply to whole missions", fix="check one from a start"

@@ -20,7 +20,7 @@ from analysis.checking.check import (
     survey_world,
 )
 from analysis.page.document import Chart
-from analysis.report.answer import asked, json_end, map_words
+from analysis.report.answer import asked, json_end, map_text
 from analysis.report.model import CellMaps, KeyFigure, Part, Report
 from analysis.statistics.estimates import ALPHA, between
 from analysis.theory.verdicts import FORMULAS, Check, Direction, Truth, Verdict, badness, overall
@@ -84,7 +84,7 @@ def check_headline(checked: MapCheck) -> str:
 def _check_heading(checked: MapCheck) -> list[str]:
     world, plan, exact = checked.world, checked.plan, checked.exact
     lines = [
-        f"{map_words(world, checked.cells, len(plan.robots))}, {counted(plan.shares, 'area')} shared in the run "
+        f"{map_text(world, checked.cells, len(plan.robots))}, {counted(plan.shares, 'area')} shared in the run "
         "without losses",
         f"open loop, exact: {exact.visited:.2f} cells visited, {exact.survived:.2f} survived, a robot survives with "
         f"chance {figure(exact.some_left, 'chance')}",

@@ -96,7 +96,7 @@ def evaluate(source: INPUT, /, given: Given) -> int:
 
     world, made, notes = load_or_make_plan(wanted, given.plan, given.state, first=first, seconds=sought)
     notes = tuple(note for note in notes if note not in told)
-    choices = given.enough(made.is_foreign, None)
+    choices = given.enough(made.is_external, None)
     earlier: Report | None = None
 
     def show_soon(found: Evaluation) -> None:
@@ -176,7 +176,7 @@ def _side(name: str, source: str, plan: Path | None, given: Given) -> tuple[Side
 
     try:
         world, made, notes = load_or_make_plan(given.asked(source), plan)
-        return make_side(world, made, given.enough(made.is_foreign, 100_000)), notes
+        return make_side(world, made, given.enough(made.is_external, 100_000)), notes
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
 

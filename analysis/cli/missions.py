@@ -159,7 +159,7 @@ def drive(source: INPUT, /, given: Given) -> int:
     else:
         mission = DrivenMission(world, made, **how)
     if given.outlook:
-        mission.check_foreseen()  # before any order
+        mission.require_outlook()  # before any order
     talk = Dialogue(mission, state, lambda: mission.outlook().to_json(), unasked=given.outlook)
     _tell(talk.begin(), world.pace)
     for line in _lines(sys.stdin.buffer):
@@ -236,7 +236,7 @@ def record(source: INPUT, /, given: Given) -> int:
         _request(given, external=given.plan_for == "open_loop")
     world, made, notes = load_or_make_plan(given.asked(source), plan, state)
     own = plan is None and state is None
-    request = _request(given, made.is_foreign, world.pace.seconds)
+    request = _request(given, made.is_external, world.pace.seconds)
     request = replace(request, made=own, scenario=scenario_text(source))
     cut = None if state_at is None else state_of_rollout(world, made, request, state_at)
     say(notes)

@@ -21,21 +21,21 @@ from numpy.typing import NDArray
 
 from analysis.estimators.trial import Known, Measured, Sampled, Trial, alike
 from analysis.sampling import SECONDS, RolloutChoices
-from analysis.statistics.estimates import bet_interval, share_of_doubt
+from analysis.statistics.estimates import bet_interval, error_share
 from analysis.utils.notes import ProgressCallback, of_things, quiet
-from analysis.utils.tables import policy_words
+from analysis.utils.tables import policy_text
 from planner.arguments import MOST_ROLLOUTS, POSITIVE, argument
 from planner.errors import PlanError, UsageError
 from planner.formatting import counted
 from planner.make_plan import allocated, allocated_plan, make_plan
-from planner.mrac.problem import Problem, worth_of
+from planner.mrac.problem import Problem, decision_values
 from planner.plan.plan import Plan
 from planner.policies import DEFAULT
 from planner.policies.rules import PER_CELL, WATCHFUL
 from planner.rollout_sampling import hazards_met, rows_met
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.tables import AllPairs, by_price
-from planner.rollouts.threshold_classes import sums_by_luck
+from planner.rollouts.threshold_classes import sums_by_threshold
 from planner.settings import BEST, MOST_PRIORITY, Settings
 from planner.simulator.codes import Outcome
 from planner.tally import RolloutResults
@@ -49,8 +49,8 @@ USUAL = 4096
 
 def check_search(world: World, settings: Settings, choices: RolloutChoices, name: str) -> None:
     """Raise InputError for input that searches do not support: uncertain maps, open-loop plans, too many rollouts."""
-    world.check_settled(name)
-    settings.check_alike(name)
+    world.require_certain_map(name)
+    settings.require_uniform(name)
     if settings.plan_for != "closed_loop":
         raise PlanError(f"plan_for is {settings.plan_for} in {name}", expected="closed_loop", fix="leave it out")
     if choices.rollouts > MOST_ROLLOUTS // 2:
@@ -60,7 +60,7 @@ def check_search(world: World, settings: Settings, choices: RolloutChoices, name
 
 def screened(settings: Settings) -> tuple[str, ...]:
     """A note if the bounds used for screening are invalid because some failures do not follow p of each visit."""
-    said = settings.bearing().said
+    said = settings.failure_model().said
     return (f"screened without {said}: the bounds only order the candidates",) if said else ()
 
 
@@ -207,7 +207,7 @@ class Halving:
         # A candidate may be eliminated in any round, so the interval must hold at any stopping time.
         n = min(best.rollouts, other.rollouts)
         apart = (best.column(figure)[:n] - other.column(figure)[:n]) / most
-        return bet_interval(np.clip(apart, -1.0, 1.0), share_of_doubt(max(count * (count - 1) // 2, 1), 1))
+        return bet_interval(np.clip(apart, -1.0, 1.0), error_share(max(count * (count - 1) // 2, 1), 1))
 
 
 # A better order of the areas of a map: weights of the cells of each area by local search (SPEC section 11, `priority`)
@@ -275,7 +275,7 @@ def _priority(plan: Plan, powers: NDArray[np.int64]) -> NDArray[np.int64]:
 def _counting(loop: ClosedLoop, problem: Problem, priority: NDArray[np.int64]) -> ClosedLoop:
     """The loop of robots that weight cells by `priority`."""
     assert loop.policy is not None
-    value = worth_of(problem.world, problem.levels.accessible, tuple(priority.tolist()))
+    value = decision_values(problem.world, problem.levels.accessible, tuple(priority.tolist()))
     assert value is not None
     t = loop.tables
     ranks = by_price(replace(problem, value=value), t.area_cost, loop.cells, t.order, t.begin, t.level)
@@ -303,7 +303,7 @@ BASE = PER_CELL.name
 """The rule that is raced under limits on the team."""
 TRIES = 50
 """Orders of areas tried for each second of the search, on any machine."""
-LUCK = 2**64 - 1
+SEARCH_SEED = 2**64 - 1
 """Seed of the search. It is reserved, so that the result is evaluated on other random numbers."""
 
 BEST_OF = "the best of "
@@ -330,7 +330,7 @@ def plan_best(
         InputError: the world or the settings are not supported.
     """
     POSITIVE.check("seconds", seconds, optional=True)
-    choices = RolloutChoices(rollouts=USUAL, seed=LUCK)
+    choices = RolloutChoices(rollouts=USUAL, seed=SEARCH_SEED)
     check_search(world, settings, choices, argument("policy", BEST))
     raced, kept = contenders(settings, len(starts)), AllPairs()
     makers = [partial(_trial, world, starts, one, choices, kept) for one in raced]
@@ -360,9 +360,9 @@ def plan_best(
     best, plain = alike([maker(), makers[0]()], USUAL, USUAL)
     gain = best.ahead(plain, best.counted, 1.0 / best.largest(best.counted))
     gained = gain.more(100, " points", ("more", "less"))
-    more = f", {gained} than {policy_words(raced[0])} on other random numbers" if found != raced[0] else ""
+    more = f", {gained} than {policy_text(raced[0])} on other random numbers" if found != raced[0] else ""
     over = "" if in_time else f"; the search ended after {seconds or SECONDS:g} s"
-    note = f"{BEST_OF}{counted(len(raced), 'setting')} is {policy_words(found)}{more}{over}"
+    note = f"{BEST_OF}{counted(len(raced), 'setting')} is {policy_text(found)}{more}{over}"
     return replace(made, notes=(*made.notes, note))
 
 
@@ -406,7 +406,9 @@ def with_eyes(world: World, plan: Plan, far: float, choices: RolloutChoices) -> 
     return Trial(other, allocated_plan(other, plan.starts, plan.require(world)), choices)
 
 
-def told_of_drawn(world: World, plan: Plan, choices: RolloutChoices, count: int) -> tuple[Sampled, NDArray[np.bool_]]:
+def sample_with_known_maps(
+    world: World, plan: Plan, choices: RolloutChoices, count: int
+) -> tuple[Sampled, NDArray[np.bool_]]:
     """Rollouts `0 .. count - 1` of the plan's team, each with a plan for its own, known map.
 
     Returns:
@@ -432,7 +434,7 @@ def told_of_drawn(world: World, plan: Plan, choices: RolloutChoices, count: int)
     return only(replace(sample, results=RolloutResults(0, **columns)), within), within
 
 
-def told_of_hazards(world: World, plan: Plan, choices: RolloutChoices, count: int) -> Sampled:
+def sample_with_known_hazards(world: World, plan: Plan, choices: RolloutChoices, count: int) -> Sampled:
     """Rollouts `0 .. count - 1` of the plan's team, each with a plan for its own, known hazards.
 
     A visit of a hazard destroys the robot with probability h; h = 1 is planned as the largest value below 1.
@@ -459,6 +461,6 @@ def only(sample: Sampled, kept: NDArray[np.bool_]) -> Sampled:
     counts: dict[str, Any] = {name: np.bincount(getattr(results, name), minlength=size) for name, size in sizes.items()}
     counts["outcomes"] = np.bincount(results.outcome, minlength=len(Outcome))
     if seed is not None:
-        counts["by_luck"] = sums_by_luck(results, seed, tally.robots)
+        counts["by_luck"] = sums_by_threshold(results, seed, tally.robots)
     ids = ((0, int(kept.sum())),)
     return replace(sample, tally=replace(tally, ids=ids, **counts), results=results, seed=seed)

@@ -24,18 +24,18 @@ from analysis.statistics.estimates import (
     mean_of,
     proportion,
 )
-from analysis.statistics.variance_reduction import LEAST, CommonLuck, Paired, difference, estimate_of, tally_mean
+from analysis.statistics.variance_reduction import LEAST, CommonThresholds, Paired, difference, estimate_of, tally_mean
 from analysis.theory.exact import OpenLoopExact, Worth, open_loop_exact
 from analysis.theory.verdicts import MEANINGS, ClosedTruth, Truth, as_stated, exact_truth
-from analysis.utils.progress import compiles_for
+from analysis.utils.progress import announce_compilation
 from planner.errors import PlanError
 from planner.plan.plan import Plan, is_certain
 from planner.rollouts.closed_loop import compile_closed_loop
-from planner.rollouts.engine import Engine, closed_loop_engine, run_by_luck, run_chunks
+from planner.rollouts.engine import Engine, closed_loop_engine, run_chunks, run_with_threshold_sums
 from planner.rollouts.exact_tree import CHEAP, WHOLE, Tree, grow_tree
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.tables import AllPairs
-from planner.rollouts.threshold_classes import luck_classes
+from planner.rollouts.threshold_classes import classes_by_threshold
 from planner.simulator.state import MOST_PASSES, Counts
 from planner.tally import RolloutResults, Tally
 from planner.world.world import World
@@ -183,7 +183,7 @@ def weigh(engine: Engine, world: World) -> Engine:
 
 
 def mean_value(
-    column: NDArray[np.int64], total: float, cells: int, certain: bool, controls: CommonLuck | None = None
+    column: NDArray[np.int64], total: float, cells: int, certain: bool, controls: CommonThresholds | None = None
 ) -> Estimate:
     """The mean of units `[B]`, as a value of the `total` of so many cells; `certain`: all rollouts are equal.
 
@@ -377,18 +377,18 @@ class Sampled:
         """As in `Known`; of value, in UNITS."""
         return float({"value": UNITS, "lost": self.tally.robots}.get(figure, self.tally.accessible))
 
-    def _controls(self, *columns: NDArray[np.int64]) -> CommonLuck | None:
+    def _controls(self, *columns: NDArray[np.int64]) -> CommonThresholds | None:
         """Sums of one or two columns by class of S; None for few rollouts and for the open loop."""
         n = len(columns[0])
         if self.seed is None or n < LEAST:
             return None
-        return CommonLuck.of(self.tally.robots, self._classes[:n], columns[0], columns[-1])
+        return CommonThresholds.of(self.tally.robots, self._classes[:n], columns[0], columns[-1])
 
     @cached_property
     def _classes(self) -> NDArray[np.int64]:
         assert self.results is not None
         assert self.seed is not None
-        return luck_classes(self.seed, self.results.start, self.rollouts, self.tally.robots)
+        return classes_by_threshold(self.seed, self.results.start, self.rollouts, self.tally.robots)
 
 
 Measured = Known | Sampled
@@ -416,7 +416,7 @@ class Trial:
         self._last: tuple[tuple[int, int], Sampled | None] = ((0, 0), None)
         self.loop = None
         if choices.loop == "closed":
-            compiles_for(plan)
+            announce_compilation(plan)
             self.loop = loop or compile_closed_loop(plan, world, first_only=choices.first_only, kept=kept)
             whole: Engine = closed_loop_engine(self.loop, choices.seed, choices.engine)
         else:
@@ -478,7 +478,7 @@ class Trial:
         asked, found = self._last
         if found is None or asked != (start, count):
             engine, seed = self.engine, self._threshold_seed
-            ran = engine.run(start, count) if seed is None else run_by_luck(engine, seed, start, count)
+            ran = engine.run(start, count) if seed is None else run_with_threshold_sums(engine, seed, start, count)
             found = self._sampled(*ran)
             self._last = (start, count), found
         return found

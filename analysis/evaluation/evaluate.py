@@ -31,7 +31,7 @@ from analysis.evaluation.outputs.advice import Advice
 from analysis.evaluation.outputs.information import Experience, Knowledge
 from analysis.evaluation.outputs.over_time import Band, Deadline, Turning
 from analysis.evaluation.outputs.value import Value
-from analysis.evaluation.outputs.what_if import MapDoubt, Mates, ThreatScale, alike
+from analysis.evaluation.outputs.what_if import EqualRobots, MapVariance, ThreatScale, alike
 from analysis.report.answer import Answer
 from analysis.sampling import (
     RolloutChoices,
@@ -59,7 +59,7 @@ from analysis.theory.verdicts import (
     worst_of_robots,
 )
 from analysis.utils.notes import Doing, ProgressCallback, quiet
-from analysis.utils.tables import bearing_words, frame_of
+from analysis.utils.tables import failure_text, frame_of
 from planner.arguments import MOST_ROLLOUTS, argument, whole
 from planner.errors import UsageError
 from planner.formatting import counted
@@ -68,7 +68,7 @@ from planner.rollouts.engine import choose_engine
 from planner.rollouts.tables import AllPairs
 from planner.simulator.codes import Outcome
 from planner.tally import Tally
-from planner.world.features import as_it_is
+from planner.world.features import true_world
 from planner.world.uncertain_maps import Uncertain
 from planner.world.world import World
 
@@ -141,7 +141,7 @@ class Evaluation(Answer):
     @cached_property
     def ground(self) -> World:
         """The true map, without the robots' knowledge of it."""
-        return as_it_is(self.world)
+        return true_world(self.world)
 
     @cached_property
     def accessible(self) -> NDArray[np.bool_]:
@@ -172,7 +172,7 @@ class Evaluation(Answer):
     @cached_property
     def p_means(self) -> str:
         """The meaning of p if it is not a probability; else ""."""
-        return bearing_words(self.plan, self.world)
+        return failure_text(self.plan, self.world)
 
     @cached_property
     def engine_said(self) -> str:
@@ -221,7 +221,7 @@ class Evaluation(Answer):
     @property
     def settled(self) -> bool:
         """Whether the paper's assumptions hold: one known map, and each visit destroys the robot with probability p."""
-        return self.world.doubt is None and self.world.knowledge is None and self.plan.bearing.is_plain
+        return self.world.doubt is None and self.world.knowledge is None and self.plan.failure_model.is_plain
 
     @cached_property
     def checks(self) -> list[Check]:
@@ -357,8 +357,8 @@ OUTPUTS: dict[str, type[Output]] = {
     "band": Band,
     "knowledge": Knowledge,
     "experience": Experience,
-    "team": Mates,
-    "map_doubt": MapDoubt,
+    "team": EqualRobots,
+    "map_doubt": MapVariance,
     "advice": Advice,
 }
 """The keys are those of `Evaluation.outputs` and of the JSON object."""

@@ -593,6 +593,6 @@ def coverage_row(name: str, covered: Covered, of: int, exact: float) -> Row:
     return Row(name, in_percent(exact / of, 2), (*covered.mean.columns(unit, 100), *runs))
 
 
-def known_words(value: float, form: str = "{:.2f}") -> str:
+def known_text(value: float, form: str = "{:.2f}") -> str:
     """A known number as text; "" for NaN."""
     return "" if math.isnan(value) else form.format(value)

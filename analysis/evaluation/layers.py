@@ -9,13 +9,13 @@ from matplotlib.colors import ListedColormap, Normalize
 from numpy.typing import NDArray
 
 from analysis.evaluation.figures import NAMES, Expected, Rest
-from analysis.page.maps import MOST_CELLS, CellLayer, Run, area_layers, chance_layers, p_words
+from analysis.page.maps import MOST_CELLS, CellLayer, Run, area_layers, chance_layers, p_text
 from analysis.pictures import LOSSES
 from analysis.recording.record import Picker, parse_picks
 from analysis.sampling import RolloutChoices, make_engine_for
 from planner.formatting import counted, percent, share
 from planner.plan.plan import Plan
-from planner.rollout_sampling import ways_of_movers
+from planner.rollout_sampling import threat_paths
 from planner.simulator.codes import NO_STEP, Doing
 from planner.tally import Trace
 from planner.world.world import World
@@ -59,7 +59,7 @@ def layers_of(
     covered = f" {percent(expected.visited / accessible.sum())} of the cells on average; {rare} below 50 %."
     left = CellLayer("Residual risk", "Threat times the chance that the cell is not covered.",
                      threat.values * (1 - chance.values), LOSSES, "%", root=True, digits=2)  # fmt: skip
-    about = f"Colour: {p_words(plan, world)}. Paths: {lines}."
+    about = f"Colour: {p_text(plan, world)}. Paths: {lines}."
     return Layers(
         replace(threat, name="The map and the plan", about=about),
         threat,
@@ -141,7 +141,7 @@ def run_of(name: str, trace: Trace, world: World, choices: RolloutChoices) -> Ru
     """A rollout in the form that the page plays."""
     dead = trace.doing == Doing.DEAD
     moving = world.movers is not None
-    movers = ways_of_movers(world, choices.seed, trace.rollout, len(trace.cells)) if moving else None
+    movers = threat_paths(world, choices.seed, trace.rollout, len(trace.cells)) if moving else None
     known = world.knowledge if looks(world, choices) else None
     seen = None if known is None else known.first_seen(trace.cells, ~dead)
     return Run(name, trace.cells, np.where(dead.any(axis=0), dead.argmax(axis=0), NO_STEP), movers, seen)

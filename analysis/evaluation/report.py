@@ -19,18 +19,18 @@ from analysis.evaluation.tables import (
     distribution,
     formulas_part,
     over_time,
-    over_time_words,
+    over_time_text,
     robots_table,
     worst_cells,
 )
 from analysis.report.answer import asked, json_end, team_figure
 from analysis.report.model import KeyFigure, Part, Pictured, Report
-from analysis.statistics.estimates import Estimate, between, in_unit, lost_words
+from analysis.statistics.estimates import Estimate, between, in_unit, lost_text
 from analysis.theory.bounds import Theorem3
 from analysis.theory.exact import OpenLoopExact
 from analysis.theory.upper_bound import moves_left
 from analysis.theory.verdicts import MEANINGS, ClosedTruth, Truth
-from analysis.utils.tables import json_text, plan_words, policy_words, span_words, without_level
+from analysis.utils.tables import json_text, plan_text, policy_text, span_text, without_level
 from planner.files import Json
 from planner.formatting import ceiled, counted, floored, percent, share
 from planner.plan.plan import Plan, drive_of
@@ -45,7 +45,7 @@ ALIKE = 1e-9
 """Relative difference below which the losses of two cells are equal."""
 
 
-def losses_words(evaluation: Evaluation) -> str:
+def losses_text(evaluation: Evaluation) -> str:
     """One sentence on the number of robots lost, and on the probability that all or none are lost.
 
     The more frequent of "all" and "none" comes first; an event that was not sampled is not called impossible. "No robot
@@ -72,7 +72,7 @@ def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
     if none.mean == 1:
         return f"{no_robot[:1].upper()}{no_robot[1:]} lost in {_any(none.rollouts)}."
     lost_before, lost = len(evaluation.plan.robots) - robots, evaluation.losses
-    mean = f"on average {lost_words(lost.mean - lost_before, robots, lost.decimals)}{left}"
+    mean = f"on average {lost_text(lost.mean - lost_before, robots, lost.decimals)}{left}"
     if lost.half_width > 0.5:  # an interval, because the mean has one decimal too many
         mean += f" ({between(lost.ci95[0] - lost_before, lost.ci95[1] - lost_before, 1, robots, 'fewer')})"
     often = [(all_of_them, "both" if robots == 2 else f"all {robots}", every), (no_robot, "none", none)]
@@ -90,7 +90,7 @@ def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
     return f"{said[0].upper()}{said[1:]}; {mean}."
 
 
-def home_words(evaluation: Evaluation) -> str:
+def return_text(evaluation: Evaluation) -> str:
     """One sentence on the number of returned robots and the probability that all return; "" if they need not."""
     home, robots = evaluation.shown.home, len(evaluation.plan.robots)
     if home is None:
@@ -98,12 +98,12 @@ def home_words(evaluation: Evaluation) -> str:
     every = home.at_least[-1]
     if robots == 1:
         return f"The robot returns to base in {every.share} of runs."
-    mean = lost_words(home.mean, robots, min(home.digits(), 2))
+    mean = lost_text(home.mean, robots, min(home.digits(), 2))
     mean += "" if mean.endswith("robots") else " robots"
     return f"On average {mean} return to base, all of them in {every.share} of runs."
 
 
-def chances_words(evaluation: Evaluation) -> str:
+def completion_text(evaluation: Evaluation) -> str:
     """One sentence on the probability that every cell is visited, and on the mean time."""
     done = evaluation.shown.complete
     where = {0.0: _none(done.rollouts), 1.0: _each(done.rollouts)}.get(done.mean) or f"{done.share} of runs"
@@ -126,7 +126,7 @@ def _time(evaluation: Evaluation) -> str:
     return f"the last move is at {world.pace.step(steps - STUCK_AFTER * max(paces, default=1) * sum(waiting))}"
 
 
-def limit_words(evaluation: Evaluation) -> str:
+def bound_text(evaluation: Evaluation) -> str:
     """The policy-independent upper bound, if it is proven and below 100 %; else ""."""
     if not (most := _most(evaluation)) or is_best(evaluation.plan):
         return ""
@@ -167,7 +167,7 @@ def headline(evaluation: Evaluation) -> str:
     """The summary: coverage and losses in one sentence; every % in it is a share of the accessible cells.
 
     For the result of a policy search it names the policy and the upper bound; otherwise the coverage that 19 of 20 runs
-    reach, if there are enough rollouts. Probabilities in percent are in `losses_words`.
+    reach, if there are enough rollouts. Probabilities in percent are in `losses_text`.
     """
     robots, least = len(evaluation.plan.robots), evaluation.shown.assured
     if evaluation.certain:
@@ -177,14 +177,14 @@ def headline(evaluation: Evaluation) -> str:
     if is_best(evaluation.plan) and (settings := evaluation.plan.settings) is not None:
         most = _most(evaluation)
         limit = f"; no strategy exceeds {most} on average ({proven(evaluation)})" * bool(most)
-        return f"{subject} {shown} with {policy_words(settings)}, {lost}{limit}."
+        return f"{subject} {shown} with {policy_text(settings)}, {lost}{limit}."
     # If the mean is exactly 100 %, the quantile adds nothing.
     adds = least is not None and not shown.startswith("100 % (exact)")
-    runs = f" (at least {assured_words(evaluation)} in 19 of 20 runs)" * adds
+    runs = f" (at least {assured_text(evaluation)} in 19 of 20 runs)" * adds
     return f"{subject} {shown}{runs} {lost}."
 
 
-def assured_words(evaluation: Evaluation) -> str:
+def assured_text(evaluation: Evaluation) -> str:
     """The coverage that 19 of 20 runs reach, rounded down as a lower bound."""
     return floored(Fraction(evaluation.shown.assured or 0, evaluation.tally.accessible))
 
@@ -201,7 +201,7 @@ def _lost_clause(evaluation: Evaluation) -> str:
         return "and cannot be lost" if alone else "and no robot can be lost"
     if alone:
         return f"and is {'' if every.mean else 'not '}lost {_often(every if every.mean else none)}"
-    verb, words = "loses" if alone else "lose", lost_words(losses.mean - gone, robots, losses.decimals)
+    verb, words = "loses" if alone else "lose", lost_text(losses.mean - gone, robots, losses.decimals)
     mean = f" ({words.split()[0]} on average)" if words[0].isdigit() else ""
     if every.mean >= 0.5:
         team = {1: "the robot", 2: "both robots"}.get(robots, f"all {robots} robots")
@@ -240,15 +240,15 @@ def certain_headline(evaluation: Evaluation) -> str:
     )
 
 
-def interval_words(evaluation: Evaluation) -> str:
+def interval_text(evaluation: Evaluation) -> str:
     """The meaning of ± and of ranges in brackets, if the sentences contain them; else ""."""
-    said = headline(evaluation) + gain_words(evaluation)
+    said = headline(evaluation) + gain_text(evaluation)
     half = "± is half the width of a 95 % interval." * ("±" in said)
     ends = re.search(r"\([\d.,]+ (\.\. [\d.,]+|or more|or less)\)", said) is not None
     return " ".join(filter(None, (half, "A range in brackets is a 95 % interval." * ends)))
 
 
-def gain_words(evaluation: Evaluation) -> str:
+def gain_text(evaluation: Evaluation) -> str:
     """The gain from reassigning the areas of lost robots, if it is known; else ""."""
     alone = len(evaluation.plan.robots) == 1
     if alone or evaluation.loop == "open" or not evaluation.closed_form.is_known:
@@ -263,7 +263,7 @@ def gain_words(evaluation: Evaluation) -> str:
     )
 
 
-def quantile_words(evaluation: Evaluation) -> str:
+def quantile_text(evaluation: Evaluation) -> str:
     """The difference between the quantiles of the table and that of the summary; "" if the summary has none."""
     if " in 19 of 20 runs" not in headline(evaluation) or evaluation.shown.visited.known:
         return ""
@@ -273,7 +273,7 @@ def quantile_words(evaluation: Evaluation) -> str:
     )
 
 
-def cell_words(evaluation: Evaluation) -> Iterator[str]:
+def cells_text(evaluation: Evaluation) -> Iterator[str]:
     """Sentences on the cells with the highest losses, and on the cells with low coverage."""
     world, lost, chance = evaluation.ground, evaluation.expected.stops_by_cell, evaluation.expected.visited_by_cell
     order, total = np.argsort(-lost, kind="stable"), float(lost.sum())
@@ -305,7 +305,7 @@ def cell_words(evaluation: Evaluation) -> Iterator[str]:
         yield f"{counted(out, 'free cell')} cannot be reached by any robot; {count} only in 'of all free cells'."
 
 
-def rest_words(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
+def remainder_text(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
     """Sentences on the state that the plan resumes, and on the cells out of range."""
     plan, cells = evaluation.plan, evaluation.tally.accessible
     kinds, robots = rest.kinds[evaluation.accessible], counted(len(plan.robots), "robot")
@@ -468,10 +468,10 @@ def report(evaluation: Evaluation, theory: bool = False, bounds: bool = True) ->
     """
     world, plan, certain, outputs = evaluation.world, evaluation.plan, evaluation.certain, evaluation.blocks
     rest, looked_at = evaluation.rest, _looked_at(evaluation)
-    said = losses_words, chances_words, gain_words, interval_words, quantile_words
+    said = losses_text, completion_text, gain_text, interval_text, quantile_text
     own = () if certain else (*(say(evaluation) for say in said), *(note for found in outputs for note in found.notes))
-    home = "" if certain else home_words(evaluation)
-    limit = limit_words(evaluation) if bounds and not certain else ""
+    home = "" if certain else return_text(evaluation)
+    limit = bound_text(evaluation) if bounds and not certain else ""
     return Report(
         "evaluation", "evaluate", asked(world, len(plan.robots), "how much is covered?"), headline(evaluation),
         lambda: to_json(evaluation),
@@ -484,11 +484,11 @@ def report(evaluation: Evaluation, theory: bool = False, bounds: bool = True) ->
         below=lambda: [chart for found in outputs for chart in found.below],
         parts=[
             Part("Chances and coverage", answer_tables(evaluation), list(filter(None, own))),
-            *([] if rest is None else [Part(rest.title, notes=list(rest_words(evaluation, rest)),
+            *([] if rest is None else [Part(rest.title, notes=list(remainder_text(evaluation, rest)),
                                             drawn=lambda: [charts.rest_map(evaluation, rest)])]),
-            Part("Coverage over time", drawn=lambda: [over_time(evaluation)], lead=over_time_words(evaluation)),
+            Part("Coverage over time", drawn=lambda: [over_time(evaluation)], lead=over_time_text(evaluation)),
             Part("Single runs", drawn=lambda: distribution(evaluation), lead="How far one run may be from the mean."),
-            Part("Cell by cell", notes=() if certain else list(cell_words(evaluation)),
+            Part("Cell by cell", notes=() if certain else list(cells_text(evaluation)),
                  drawn=lambda: [charts.maps(evaluation)], whole=worst_cells(evaluation)),
             Part("Robots", [robots_table(evaluation)], aside=True),
             *([formulas_part(evaluation, theory)] if bounds and (theory or not certain) else []),
@@ -519,7 +519,7 @@ def _looked_at(evaluation: Evaluation) -> dict[str, str]:
         **({} if world.doubt is None else {_uncertainty_name(world): world.doubt.said}),
         **({} if world.knowledge is None else {"robots' map": world.knowledge.said}),
         **({"meaning of p": evaluation.p_means} if evaluation.p_means else {}),
-        "plan": f"{plan.origin if plan.is_foreign else plan_words(plan)}, {span_words(plan, world.pace)}"
+        "plan": f"{plan.origin if plan.is_external else plan_text(plan)}, {span_text(plan, world.pace)}"
         + ("" if world.knowledge is None else ", by the prior map"),
         "rollouts": f"{whole}{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, "
         f"{evaluation.engine_said}",
@@ -535,7 +535,7 @@ def _in_lines(evaluation: Evaluation, looked_at: Mapping[str, str]) -> list[str]
     """The input as lines for a terminal, and the rate of the rollouts if there are several."""
     plan, rate = evaluation.plan, evaluation.tally.rollouts / max(evaluation.seconds, 1e-9)
     before = {"map": f"{evaluation.world.source}: ", "map uncertainty": "map uncertainty: ",
-              "plan": "plan: " * (not plan.is_foreign)}  # fmt: skip
+              "plan": "plan: " * (not plan.is_external)}  # fmt: skip
     lines = [before.get(name, "") + value for name, value in looked_at.items()]
     return lines if evaluation.certain else [*lines[:-1], f"{lines[-1]}: {rate:,.0f} a second"]
 
@@ -561,7 +561,7 @@ def _key_figures(evaluation: Evaluation) -> list[KeyFigure]:
     visited, between = seen.columns(100.0, 100)
     (complete, likely), (time, steps) = found.complete.columns(), evaluation.time.columns()
     sure = "with 95 % confidence" if found.visited.known is None else "exact"
-    runs = KeyFigure(assured_words(evaluation), "reached in 19 of 20 runs", sure)
+    runs = KeyFigure(assured_text(evaluation), "reached in 19 of 20 runs", sure)
     return [
         KeyFigure(f"{visited} %", "visited on average", f"{in_unit(between)}, of {cells:,} accessible cells"),
         *([] if found.assured is None else [runs]),

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.evaluation.evaluate import Evaluation
-from analysis.evaluation.figures import NAMES, TO_DO, Figures, Rest, Row, coverage_row, known_words
+from analysis.evaluation.figures import NAMES, TO_DO, Figures, Rest, Row, coverage_row, known_text
 from analysis.page.document import Chart, Series
 from analysis.report.model import CellMaps, Part, Planned
 from analysis.statistics.estimates import AT_LEAST, losses_shown, of_all
 from analysis.theory.bounds import Theorem3
 from analysis.theory.verdicts import FORMULAS, MEANINGS, Verdict
 from analysis.utils.tables import make_table
-from planner.formatting import at_least_words, counted, in_percent, percent
+from planner.formatting import at_least_text, counted, in_percent, percent
 from planner.plan.plan import drive_of
 from planner.simulator.codes import Outcome
 
@@ -95,10 +95,10 @@ def _chances_table(evaluation: Evaluation) -> Table:
     if found.home is not None:
         _add(table, evaluation, "robots back at base", "", losses_shown(found.home, robots))
         for least, chance in found.home.shown.items():
-            _add(table, evaluation, f"chance that {at_least_words(least, robots)} back at base", "", chance.columns())
-    _add(table, evaluation, "time, steps", known_words(exact.mean_time, "{:,.1f}"), found.time.columns())
+            _add(table, evaluation, f"chance that {at_least_text(least, robots)} back at base", "", chance.columns())
+    _add(table, evaluation, "time, steps", known_text(exact.mean_time, "{:,.1f}"), found.time.columns())
     if pace := evaluation.world.pace:
-        known = known_words(pace.minutes * exact.mean_time, "{:,.1f}")
+        known = known_text(pace.minutes * exact.mean_time, "{:,.1f}")
         _add(table, evaluation, "time, minutes", known, found.time.columns(pace.minutes))
     return table
 
@@ -134,7 +134,7 @@ def robots_table(evaluation: Evaluation) -> Table:
     table = make_table(columns, "Robots of the plan, and the chance that each ends its path", left=columns[:1])
     for number, (robot, chance) in enumerate(zip(plan.robots, survival, strict=True)):
         row, col = divmod(int(robot.path[0]), plan.shape[1])
-        areas = "" if plan.is_foreign else f"{sum(leg.kind == 'cover' for leg in robot.legs)}"
+        areas = "" if plan.is_external else f"{sum(leg.kind == 'cover' for leg in robot.legs)}"
         known = "not known" if math.isnan(chance) else percent(chance, 2)
         table.add_row(
             f"{number}", f"[{row}, {col}]", f"{drive.moves[number]:,}", f"{drive.turns[number]:,}", areas, known
@@ -161,12 +161,12 @@ WORDS = {
 
 def formulas_part(evaluation: Evaluation, asked: bool) -> Part:
     """The section on the formulas: collapsed on a page, and omitted on a terminal, unless `asked`."""
-    title, said = "The paper's formulas", formulas_words(evaluation) + "."
+    title, said = "The paper's formulas", formulas_text(evaluation) + "."
     if not evaluation.settled:
         return Part(title, notes=[said], aside=not asked)
     if asked:
-        return Part(title, [formulas_table(evaluation)], [eq2_words(evaluation), *[said] * (not evaluation.certain)])
-    return Part(title, [formulas_table(evaluation)], [eq2_words(evaluation)], lead=said,
+        return Part(title, [formulas_table(evaluation)], [eq2_text(evaluation), *[said] * (not evaluation.certain)])
+    return Part(title, [formulas_table(evaluation)], [eq2_text(evaluation)], lead=said,
                 fold="Every formula, with its verdict", aside=True)  # fmt: skip
 
 
@@ -176,7 +176,7 @@ def formula_counts(evaluation: Evaluation) -> dict[Verdict, int]:
     return {verdict: found.count(verdict) for verdict in FORMULA_WORDS}
 
 
-def formulas_words(evaluation: Evaluation) -> str:
+def formulas_text(evaluation: Evaluation) -> str:
     """One sentence: the number of formulas that hold on this plan and of those that fail."""
     if not evaluation.settled:
         return (
@@ -217,12 +217,12 @@ def formulas_table(evaluation: Evaluation) -> Table:
         if all(term is not None for term in terms):
             verdict = WORDS[evaluation.verdicts[f"eq5_{reading}"]]
             table.add_row(f"eq. (5) {name}, robots summed", "", f"{sum(terms):.2f}", verdict)
-        elif not evaluation.plan.is_foreign:
+        elif not evaluation.plan.is_external:
             table.add_row(f"eq. (5) {name}", "", "", "undefined here")
     return table
 
 
-def eq2_words(evaluation: Evaluation) -> str:
+def eq2_text(evaluation: Evaluation) -> str:
     """The result for eq. (2), a probability and not a number of cells, as a line below the table of formulas."""
     bounds, verdict = evaluation.formulas, WORDS[evaluation.verdicts["eq2_printed"]]
     return (
@@ -283,7 +283,7 @@ def _until(last: int, series: Series) -> Series:
     return replace(series, x=x, y=y, low=low, high=high)
 
 
-def over_time_words(evaluation: Evaluation) -> str:
+def over_time_text(evaluation: Evaluation) -> str:
     """The steps at which half and nine tenths of the final coverage are reached."""
     curve = evaluation.expected.visited_curve
     half, most = (int(np.searchsorted(curve, share * curve[-1] - 1e-9)) for share in (0.5, 0.9))

@@ -96,7 +96,7 @@ def columns_of(run: Run, tally: Tally, loop: str, free: int) -> dict[Key, Any]:
 
     run, square: mean and mean square of single runs, of each of COVERAGE (fractions) and "time" (steps). share: of runs
     that cover no more of the free cells ("coverage"), or take no longer ("time"), than the run of Fig. 4 with the same
-    number of robots. controls, errors: see `analysis.statistics.variance_reduction.beside_luck`.
+    number of robots. controls, errors: see `analysis.statistics.variance_reduction.with_controls`.
     """
     found: dict[Key, Any] = {}
     means, errors = figures_of(run)
@@ -116,11 +116,11 @@ def columns_of(run: Run, tally: Tally, loop: str, free: int) -> dict[Key, Any]:
     return found
 
 
-def put_right(columns: dict[Key, NDArray[np.float64]], rollouts: int) -> None:
+def controlled_means(columns: dict[Key, NDArray[np.float64]], rollouts: int) -> None:
     """Add each map's "mean": its "run" with the control variate, fitted over all maps."""
     for _, loop, figure in [key for key in columns if key[0] == "controls"]:
         means, errors = columns["controls", loop, figure], columns["errors", loop, figure]
-        columns["mean", loop, figure], _ = control_variate.put_right(means, errors, len(means) * (rollouts - 1))
+        columns["mean", loop, figure], _ = control_variate.controlled_means(means, errors, len(means) * (rollouts - 1))
 
 
 def runs_of(tally: Tally, free: int) -> dict[str, NDArray[np.int64]]:
@@ -474,7 +474,7 @@ def _exact_columns(facts: Json, free: int, accessible: int) -> Columns:
 def _point(setting: Setting, found: list[tuple[Columns, Runs]], rollouts: int) -> Point:
     shared = (key for key in found[0][0] if all(key in of_map for of_map, _ in found))
     columns = {key: np.array([of_map[key] for of_map, _ in found]) for key in shared}
-    put_right(columns, rollouts)
+    controlled_means(columns, rollouts)
     runs = {name: reduce(add_padded, (of_map[name] for _, of_map in found)) for name in found[0][1]}
     return Point(setting.kind, setting.robots, setting.ratio, columns, runs, rollouts)
 

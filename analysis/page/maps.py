@@ -28,7 +28,7 @@ from analysis.pictures import (
     lane,
     threat_scale,
 )
-from analysis.utils.tables import bearing_words
+from analysis.utils.tables import failure_text
 from planner.files import Json
 from planner.formatting import UNPACED, Pace, chance, counted
 from planner.plan.plan import Plan
@@ -261,15 +261,15 @@ def threat_layer(world: World, plan: Plan) -> CellLayer:
     threat = np.where(accessible, np.nan_to_num(world.threat.astype(np.float64)), 0.0)
     levels = find_levels(world, accessible, plan.settings.levels if plan.settings else MOST_LEVELS)
     scale = threat_scale(levels.values, float(threat.max()))
-    words = p_words(plan, world)
+    words = p_text(plan, world)
     about = f"{words[0].upper()}{words[1:]}."
     labels = (0.0, *levels.values[1:])
     return CellLayer("Threat", about, threat, scale.colours, "%", norm=scale.norm, labels=labels, digits=2)
 
 
-def p_words(plan: Plan, world: World) -> str:
+def p_text(plan: Plan, world: World) -> str:
     """The meaning of p on a map."""
-    return bearing_words(plan, world) or "the chance that one visit destroys a robot"
+    return failure_text(plan, world) or "the chance that one visit destroys a robot"
 
 
 def area_layers(plan: Plan) -> Iterator[CellLayer]:

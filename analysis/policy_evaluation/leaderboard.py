@@ -57,7 +57,7 @@ class Rolled(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Played:
+class WorldResults:
     """A world with the rollouts of every entry.
 
     Attributes:
@@ -124,7 +124,7 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Standing(Answer):
+class Leaderboard(Answer):
     """The leaderboard.
 
     Attributes:
@@ -135,7 +135,7 @@ class Standing(Answer):
     reported_by = "analysis.policy_evaluation.leaderboard:report"
     listed = "entries"
 
-    worlds: tuple[Played, ...]
+    worlds: tuple[WorldResults, ...]
     rollouts: int
     seed: int
     own: str | None
@@ -358,7 +358,7 @@ def run_suite(
     seed: int,
     processes: int | None = None,
     progress: ProgressCallback = quiet,
-) -> Standing:
+) -> Leaderboard:
     """The leaderboard on these worlds; `processes` (None: one for each core) does not change the figures.
 
     An interruption (KeyboardInterrupt) leaves the worlds done so far; if there are none, it is raised again. Raises
@@ -381,10 +381,12 @@ def run_suite(
             raise
         partial_answer = True
     worlds = tuple(found[name] for name in names if name in found)
-    return Standing(worlds, rollouts, seed, None if own is None else own.name, time.monotonic() - begun, partial_answer)
+    return Leaderboard(
+        worlds, rollouts, seed, None if own is None else own.name, time.monotonic() - begun, partial_answer
+    )
 
 
-def play(asked: SuiteRun, name: str) -> Played:
+def play(asked: SuiteRun, name: str) -> WorldResults:
     """All entries on one world. Raises InputError that names a policy and the world."""
     world = suite_world(name)
     assert world.starts is not None
@@ -400,7 +402,7 @@ def play(asked: SuiteRun, name: str) -> Played:
     for planner, plan in plans.items():
         rolled |= {f"{planner}, {loop} loop": _plan(world, plan, loop, choices) for loop in ("open", "closed")}
     best = None if world.doubt is not None else optimum(world, world.starts)
-    return Played(name, len(world.starts), cells, most_cells(world, world.starts, flow=True), best, rolled)
+    return WorldResults(name, len(world.starts), cells, most_cells(world, world.starts, flow=True), best, rolled)
 
 
 def _own(own: GivenPolicy, world: World, make_env: Any, choices: RolloutChoices) -> Rolled:
@@ -459,7 +461,7 @@ class Suite(Mapping[str, World]):
         processes: int | None = None,
         progress: ProgressCallback | bool | None = None,
         on_interrupt: OnInterrupt = "raise",
-    ) -> Standing:
+    ) -> Leaderboard:
         """The leaderboard of all entries on all worlds with common random numbers.
 
         Args:
@@ -488,7 +490,7 @@ NOTES = (
 )
 
 
-def report(standing: Standing) -> Report:
+def report(standing: Leaderboard) -> Report:
     """Ranks and worlds as tables; both as Markdown, all figures as CSV, and the worlds as files."""
     count = counted(len(standing.worlds), "world")
     mine = [row for row in standing.entries if row.name == standing.own]
@@ -512,7 +514,7 @@ def report(standing: Standing) -> Report:
     )  # fmt: skip
 
 
-def headline(standing: Standing) -> str:
+def headline(standing: Leaderboard) -> str:
     """The first entry, and the rank of the given policy."""
     ranked = [row for row in standing.entries if row.rank is not None]
     if not ranked:
@@ -540,12 +542,12 @@ def _ranked(row: Row) -> tuple[str, ...]:
     return rank, row.name, _half(row.score), behind, *shares, str(row.first), str(row.worlds)
 
 
-def _columns(standing: Standing) -> tuple[str, ...]:
+def _columns(standing: Leaderboard) -> tuple[str, ...]:
     names = [row.name for row in standing.entries if row.name != RANDOM]
     return ("world", "cells", "bound", "optimum", RANDOM, *names)
 
 
-def _worlds(standing: Standing) -> Iterator[tuple[str, ...]]:
+def _worlds(standing: Leaderboard) -> Iterator[tuple[str, ...]]:
     names = _columns(standing)[4:]
     for played in standing.worlds:
         optimum = "" if played.optimum is None else in_percent(played.optimum / played.cells, 2)
@@ -570,7 +572,7 @@ def _markdown(columns: tuple[str, ...], rows: Iterator[tuple[str, ...]]) -> Iter
 CSV = ("world", "robots", "cells", "bound", "optimum", "entry", "visited", "low", "high", "lost")
 
 
-def _lines(standing: Standing) -> Iterator[tuple[object, ...]]:
+def _lines(standing: Leaderboard) -> Iterator[tuple[object, ...]]:
     """Rows of the CSV file: fractions of the accessible cells, and of the team."""
     for played in standing.worlds:
         for name in played.rolled:
@@ -581,14 +583,14 @@ def _lines(standing: Standing) -> Iterator[tuple[object, ...]]:
             yield *of, name, found.mean, *found.ci95, played.lost(name)
 
 
-def _world_json(played: Played) -> Json:
+def _world_json(played: WorldResults) -> Json:
     entries = {name: {"coverage": played.coverage(name), "lost": played.lost(name)} for name in played.rolled}
     best = None if played.optimum is None else played.optimum / played.cells
     bound = played.bound / played.cells
     return {"robots": played.robots, "accessible": played.cells, "bound": bound, "optimum": best, "entries": entries}
 
 
-def _json(standing: Standing) -> Json:
+def _json(standing: Leaderboard) -> Json:
     """Coverage, bound and optimum: fractions of the accessible cells; lost: of the team."""
     return {
         "answer": headline(standing),

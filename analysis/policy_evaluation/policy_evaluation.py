@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.answer import Answer, asked, json_end, map_words, share_figure
+from analysis.report.answer import Answer, asked, json_end, map_text, share_figure
 from analysis.report.model import KeyFigure, Part, Report
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.estimates import Z95, Estimate, mean_estimate
@@ -91,7 +91,7 @@ class Compared:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Judged(Answer):
+class PolicyEvaluation(Answer):
     """The evaluation of a policy on a world.
 
     Attributes:
@@ -130,7 +130,7 @@ def judge(
     against: Iterable[str],
     processes: int | None = None,
     progress: ProgressCallback = quiet,
-) -> Judged:
+) -> PolicyEvaluation:
     """Evaluate the policy in the environment `env` of the world, and compare it with plans. Raises InputError."""
     count, cells, robots = choices.rollouts, env.accessible, env.num_agents
     plans, until = {}, replace(choices, deadline=env.max_steps)
@@ -144,7 +144,7 @@ def judge(
         ahead = difference(Paired.of(found.visited, visited), 1 / cells, 1 / cells, 1.0).estimate
         plans[name] = Compared(share_of(found.visited, cells), mean_of(robots - found.alive, robots), ahead)
     scores = scores_of(visited / cells, walked / cells, bound)
-    return Judged(
+    return PolicyEvaluation(
         world, env.starts, cells, env.max_steps, choices, share_of(visited, cells), mean_of(lost, robots),
         mean_of(steps, env.max_steps), share_of(walked, cells), bound, None if scores is None else estimate_of(scores),
         plans, env.walk,
@@ -181,7 +181,7 @@ def mean_of(values: NDArray[Any], most: int) -> Estimate:
 # The report of `mrac.judge`.
 
 
-def report(judged: Judged) -> Report:
+def report(judged: PolicyEvaluation) -> Report:
     """The policy's coverage and score between a random walk, or random areas, and the bound."""
     robots = len(judged.starts)
     score = [] if judged.score is None else [KeyFigure(judged.score.columns(100.0)[0] + " %", "score")]
@@ -198,14 +198,14 @@ def report(judged: Judged) -> Report:
     return Report(
         "policy", "judge", asked(judged.world, robots, "how good is the policy?"), headline(judged),
         lambda: _json(judged), figures=[share_figure(judged.coverage, "visited on average"), *score],
-        heading=(map_words(judged.world, judged.cells, robots),
+        heading=(map_text(judged.world, judged.cells, robots),
                  f"{counted(judged.choices.rollouts, 'rollout')}, seed {judged.choices.seed}, at most "
                  f"{judged.world.pace.steps(judged.max_steps)}"),
         parts=[Part("Common random numbers", [table], [note, level])], pace=judged.world.pace,
     )  # fmt: skip
 
 
-def headline(judged: Judged) -> str:
+def headline(judged: PolicyEvaluation) -> str:
     """Coverage of the policy, of the best plan, and the bound."""
     best = max(judged.plans.items(), key=lambda item: item[1].coverage.mean, default=None)
     plan = "" if best is None else f"; `{best[0]}`: {percent(best[1].coverage.mean)}"
@@ -214,7 +214,7 @@ def headline(judged: Judged) -> str:
     return f"It covers {without_level(covers)}{plan}; {said}: {walk}, upper bound: {bound}."
 
 
-def _json(judged: Judged) -> Json:
+def _json(judged: PolicyEvaluation) -> Json:
     """Coverage: fractions of the accessible cells."""
     return {
         "answer": headline(judged),

@@ -271,11 +271,11 @@ def event_line(row: NDArray, world: World, plan: Plan | None = None) -> Line:
 
 def _stopped_by(robot: int, step: int, cell: NDArray, world: World, plan: Plan | None) -> str:
     """Possible causes of a robot's loss: the p of its visit (with a Weibull shape, the map's), or a moving threat."""
-    bearing = PLAIN if plan is None else plan.bearing
-    own = world if plan is None else world.of_robots(bearing.types, len(plan.robots))[robot]
+    failure_model = PLAIN if plan is None else plan.failure_model
+    own = world if plan is None else world.of_robots(failure_model.types, len(plan.robots))[robot]
     p = float(own.by_phase.flat[own.visits(cell, step)])
-    if bearing.shape == 1 and not bearing.is_even:
-        p = bearing.first_chance(p, robot)
+    if failure_model.shape == 1 and not failure_model.is_even:
+        p = failure_model.first_chance(p, robot)
     if world.movers is None:
         return f"threat {chance(p)}"
     return f"threat {chance(p)}, or a moving threat" if p else "by a moving threat"

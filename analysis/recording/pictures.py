@@ -46,12 +46,12 @@ from analysis.pictures import (
     cell_colours,
     cell_points,
     draw_key,
-    house_style,
     inches,
     lane,
     level_scale,
     map_axes,
     new_figure,
+    picture_style,
     plain,
     png_bytes,
     robot_style,
@@ -65,7 +65,7 @@ from planner.errors import UsageError
 from planner.files import atomic_write
 from planner.formatting import counted, percent
 from planner.plan.plan import Plan
-from planner.rollout_sampling import ways_of_movers
+from planner.rollout_sampling import threat_paths
 from planner.simulator.codes import NO_ROBOT, NO_STEP, EventKind
 from planner.tally import Trace
 from planner.world.levels import levels_of_maps
@@ -245,7 +245,7 @@ class RolloutPicture:
         self._image = areas_axes.imshow(self._area_colours(0), interpolation="nearest", zorder=0)
         points = cell_points(threat_axes, world.shape)
         self._fog = [draw_fog(axes, world.shape) for axes in (threat_axes, areas_axes) if self._found is not None]
-        self._ways = ways_of_movers(stage.world, stage.seed, trace.rollout, len(trace.cells))
+        self._ways = threat_paths(stage.world, stage.seed, trace.rollout, len(trace.cells))
         self._threats = [draw_moving_threats(axes, points) for axes in (threat_axes, areas_axes) if self._ways.size]
         self._paths = [_path_line(threat_axes, robot, robots, points) for robot in range(robots)]
         self._markers = [_Markers(axes, robots, points) for axes in (threat_axes, areas_axes)]
@@ -410,7 +410,7 @@ def picture_png(trace: Trace, stage: Stage, step: int | None = None) -> bytes:
     at = trace.time if step is None else step
     if not 0 <= at <= trace.time:
         raise UsageError(f"step {step} of rollout {trace.rollout}", expected=f"0 to {trace.time}, where it ended")
-    with house_style():
+    with picture_style():
         dpi = FINE_DPI if max(stage.world.shape) > FINE_FROM else DPI
         picture = RolloutPicture(trace, stage, dpi)
         picture.show(at)
@@ -433,7 +433,7 @@ def animation_gif(trace: Trace, stage: Stage, most_frames: int = MOST_FRAMES) ->
             picture.show(step)
             yield picture.pixels()
 
-    with house_style():
+    with picture_style():
         colours = _commonest(pixels(sorted({0, trace.time // 2, trace.time})))
         return _gif(pixels(steps), colours, durations(trace, steps))
 

@@ -23,7 +23,7 @@ from analysis.report.answer import Answer
 from analysis.statistics.estimates import quantile
 from analysis.theory.bounds import all_bounds
 from analysis.utils.notes import Doing, ProgressCallback, quiet
-from analysis.utils.progress import compiles_for
+from analysis.utils.progress import announce_compilation
 from planner.arguments import BLOCK, SEED, Numbers, argument, check_word
 from planner.errors import UsageError
 from planner.failure_model import key_of
@@ -200,7 +200,7 @@ def engine_of(world: World, plan: Plan, request: Request) -> Engine:
     """The engine of a request. Raises InputError."""
     from planner.rollouts.engine import Rolling, make_engine
 
-    compiles_for(plan, request.loop)
+    announce_compilation(plan, request.loop)
     how = Rolling(request.loop, request.first_only, request.seed)
     return make_engine(plan, world, how, request.engine)
 
@@ -453,7 +453,7 @@ def recorded_messages(
 def state_of_rollout(world: World, plan: Plan, request: Request, step: int) -> MissionState:
     """The mission state of the request's one rollout at the end of a step. Raises UsageError."""
     said = argument("state_at", step)
-    if plan.is_foreign:
+    if plan.is_external:
         raise UsageError(f"{said}: robots that follow fixed paths have no state to save", fix="omit it")
     if len(request.ids) != 1 or request.loop != "closed":
         raise UsageError(f"{said} without one closed-loop rollout", expected=f"{argument('ids')} with one number")

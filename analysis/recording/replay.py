@@ -32,7 +32,7 @@ from analysis.recording.viewers.topics import DATA_TOPICS, Message, Stage, type_
 from analysis.report.model import Part, Report
 from analysis.theory.bounds import all_bounds
 from analysis.utils.notes import ProgressCallback
-from analysis.utils.progress import compiles_for
+from analysis.utils.progress import announce_compilation
 from analysis.utils.tables import make_table
 from planner.arguments import argument
 from planner.errors import PER_VISIT, InputError, PlanError
@@ -231,7 +231,7 @@ class _Comparison:
         self._descriptions(world, plan)
         first_only = self.settings.threat_checks == "first_visit"
         how = Rolling(self.settings.loop, first_only, self.settings.seed)
-        compiles_for(plan, self.settings.loop)
+        announce_compilation(plan, self.settings.loop)
         engine = make_engine(plan, world, how, self.found.engine)
         self._rollouts(Stage(world, plan, self.settings.loop, self.settings.seed, first_only), engine)
         if self.found.everything:

@@ -274,14 +274,14 @@ def asked(world: World, robots: int, question: str) -> str:
     return f"{world.name}, {counted(robots, 'robot')}: {question}"
 
 
-def map_words(world: World, cells: int, robots: int = 0) -> str:
+def map_text(world: World, cells: int, robots: int = 0) -> str:
     """ "site.npz: 14 x 23 cells of 1 m, 300 accessible; 3 robots"; without robots, the map alone."""
     height, width = world.shape
     size = f"{height} x {width} cells of {world.cell_size:g} m, {cells:,} accessible"
     return f"{world.name}: {size}" + (f"; {counted(robots, 'robot')}" if robots else "")
 
 
-def luck_words(world: World, choices: RolloutChoices, engine: str, rolled: str = "") -> str:
+def seed_text(world: World, choices: RolloutChoices, engine: str, rolled: str = "") -> str:
     """The source of the figures: "seed 0, numba" after the text `rolled`; EXACT without an engine."""
     ends = "" if choices.deadline is None else f", every mission ended at {world.pace.step(choices.deadline)}"
     return (f"{rolled}seed {choices.seed}, {engine}" if engine else EXACT) + ends

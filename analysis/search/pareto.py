@@ -182,14 +182,14 @@ def knee(points: Sequence[Figures], low: Figures, high: Figures) -> int | None:
     return place if above[place] >= KNEE else None
 
 
-def first_worth(largest_threat: float) -> float:
+def first_robot_value(largest_threat: float) -> float:
     """Start of the ladder: 1 / p of the most dangerous cell, to two digits."""
     return float(f"{1 / largest_threat:.2g}")
 
 
 def descending_ladder(largest_threat: float, smallest_threat: float, cells: int) -> list[float]:
-    """The ladder of `robot_value` in descending order, from a value that excludes all danger to `first_worth`."""
-    first, ladder = first_worth(largest_threat), list[float]()
+    """The ladder of `robot_value` in descending order, from a value that excludes all danger to `first_robot_value`."""
+    first, ladder = first_robot_value(largest_threat), list[float]()
     for step in range(MOST_ROBOT_VALUES):
         ladder.insert(0, first * 2**step)
         if ladder[0] > cells / smallest_threat:
@@ -550,7 +550,7 @@ class _Search:
             for robot_value in self.ladders.robot_values:
                 self.look_at(Setting("per_cell", robot_value=robot_value))
         elif len(self.dangers):
-            robot_value = first_worth(float(self.dangers.max()))
+            robot_value = first_robot_value(float(self.dangers.max()))
             all_refused = self.cells / float(self.dangers.min())
             for step in range(MOST_ROBOT_VALUES):
                 point = self.look_at(Setting("per_cell", robot_value=robot_value * 2**step))

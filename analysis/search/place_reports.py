@@ -10,18 +10,18 @@ from rich.table import Table
 
 from analysis.report.answer import (
     asked,
-    luck_words,
-    map_words,
+    map_text,
     run_again,
     search_end,
+    seed_text,
     share_figure,
     sourced,
     team_figure,
 )
 from analysis.report.model import CellMaps, KeyFigure, Part, Report
 from analysis.search.start_positions import Place, Starts
-from analysis.search.threats import Attack, Clearing, Gain, Placed, Threat, Weighed, by_cell
-from analysis.statistics.estimates import between, losses_said, of_all
+from analysis.search.threats import Attack, Clearing, Gain, Placed, Threat, ThreatCost, by_cell
+from analysis.statistics.estimates import between, losses_sentence, of_all
 from analysis.utils.tables import json_text, make_table, without_level
 from planner.arguments import exactly
 from planner.files import Json
@@ -40,12 +40,12 @@ def starts_report(starts: Starts) -> Report:
     share = f", {percent(starts.rolled / all_of_all)} of simulating every one in full" if starts.depot else ""
     return Report(
         "starts", "starts", asked(starts.world, robots, "where to start?"),
-        starts_headline(starts), lambda: _starts_json(starts), list(starts_findings(starts)),
+        starts_summary(starts), lambda: _starts_json(starts), list(starts_findings(starts)),
         _starts_key_figures(starts),
         heading=(
-            f"{map_words(starts.world, starts.cells, robots)}; {'one depot' if starts.depot else 'a start each'}",
+            f"{map_text(starts.world, starts.cells, robots)}; {'one depot' if starts.depot else 'a start each'}",
             f"{counted(len(starts.candidates), 'candidate')}, {counted(len(starts.simulated), 'place')} simulated, "
-            + luck_words(starts.world, choices, starts.engine, f"{counted(starts.rolled, 'rollout')}, "
+            + seed_text(starts.world, choices, starts.engine, f"{counted(starts.rolled, 'rollout')}, "
                          f"{choices.rollouts:,} of the last two{share}; "),
         ),
         picture=maps, parts=[Part("Places", [_starts_table(starts)], _starts_footnotes(starts))], notes=starts.notes,
@@ -54,7 +54,7 @@ def starts_report(starts: Starts) -> Report:
     )  # fmt: skip
 
 
-def starts_headline(starts: Starts) -> str:
+def starts_summary(starts: Starts) -> str:
     """The best starts, their coverage, and the gain over the present starts, by fresh rollouts."""
     robots, best = counted(len(starts.starts), "robot"), starts.places[starts.best]
     if starts.partial:
@@ -86,7 +86,7 @@ def starts_findings(starts: Starts) -> Iterator[str]:
         cells = "" if again.value is None else " of the cells"
         covered = f"{worth}{again.coverage.said(100, ' %')}{cells} covered"
         yield sourced(
-            again.rollouts, without_level(f"{covered}, {losses_said(again.losses, len(starts.starts))} lost.")
+            again.rollouts, without_level(f"{covered}, {losses_sentence(again.losses, len(starts.starts))} lost.")
         )
     best = starts.places[starts.best]
     if starts.gain is not None and starts.stay:
@@ -248,12 +248,12 @@ def clear_report(clearing: Clearing) -> Report:
     """The threat to remove first, the map of gains, and every threat."""
     choices, robots = clearing.choices, len(clearing.starts)
     return Report(
-        "clear", "clear", asked(clearing.world, robots, "which threat to remove first?"), clear_headline(clearing),
+        "clear", "clear", asked(clearing.world, robots, "which threat to remove first?"), removal_summary(clearing),
         lambda: _clear_json(clearing), list(clear_findings(clearing)), _clear_key_figures(clearing),
         heading=(
-            f"{map_words(clearing.world, clearing.cells, robots)}, {counted(len(clearing.options), 'threat')} "
+            f"{map_text(clearing.world, clearing.cells, robots)}, {counted(len(clearing.options), 'threat')} "
             f"({KINDS[clearing.remove]})",
-            luck_words(clearing.world, choices, clearing.engine,
+            seed_text(clearing.world, choices, clearing.engine,
                        f"{counted(choices.rollouts, 'rollout')} of the last two, the same ids for all; "),
         ),
         picture=lambda: _clear_maps(clearing), parts=[Part("Threats", [_clear_table(clearing)],
@@ -263,7 +263,7 @@ def clear_report(clearing: Clearing) -> Report:
     )  # fmt: skip
 
 
-def clear_headline(clearing: Clearing) -> str:
+def removal_summary(clearing: Clearing) -> str:
     """The threat to remove first, and the gain on fresh rollouts."""
     picks, gain = clearing.picks, clearing.gain
     first = f"Best threat found to remove first: {place_words(clearing, picks[0])}"
@@ -363,7 +363,7 @@ def _columns(gain: Gain) -> tuple[str, str]:
     return gain.counted.columns()
 
 
-def _ranked(clearing: Clearing) -> list[Weighed]:
+def _ranked(clearing: Clearing) -> list[ThreatCost]:
     rest = [one for one in clearing.options if one.known is None]
     return [*clearing.turns[0].simulated, *sorted(rest, key=lambda one: -(one.screen or 0.0))]
 
@@ -399,7 +399,7 @@ def _clear_json(clearing: Clearing) -> Json:
     }
 
 
-def _clear_threat_json(one: Weighed) -> Json:
+def _clear_threat_json(one: ThreatCost) -> Json:
     threat, facts = one.threat, {name: getattr(one, name) for name in ("screen", "hits", "known", "unknown", "behind")}
     return {"name": threat.name, "cells": threat.cells, "p": float(exactly(round(threat.p, 9))), **facts}
 
@@ -417,11 +417,11 @@ def attack_report(attack: Attack) -> Report:
     threats = f"{counted(len(attack.known.threats), 'threat')} of {chance(attack.p)}"
     hidden = len(attack.hidden.threats) > 0  # none: it was interrupted before
     return Report(
-        "attack", "attack", asked(attack.world, robots, "where would a threat cost most?"), attack_headline(attack),
+        "attack", "attack", asked(attack.world, robots, "where would a threat cost most?"), placement_summary(attack),
         lambda: _attack_json(attack), list(attack_findings(attack)), _attack_key_figures(attack),
         heading=(
-            f"{map_words(attack.world, attack.cells, robots)}; {threats}, {cells} searched",
-            luck_words(attack.world, choices, attack.engine,
+            f"{map_text(attack.world, attack.cells, robots)}; {threats}, {cells} searched",
+            seed_text(attack.world, choices, attack.engine,
                        f"{counted(choices.rollouts, 'rollout')} of the last two, the same ids for all; "),
         ),
         picture=lambda: _attack_maps(attack), parts=[Part("Cells", [_attack_table(attack)], _attack_footnotes(attack))],
@@ -440,7 +440,7 @@ def _scenario(attack: Attack) -> bytes:
     return yaml.safe_dump({"map": {"file": "known.npz"}} | team, sort_keys=False).encode()
 
 
-def attack_headline(attack: Attack) -> str:
+def placement_summary(attack: Attack) -> str:
     """The worst positions in both cases, and their cost on fresh rollouts."""
     known, hidden = attack.known, attack.hidden
     if known.known is None or hidden.hidden is None:
@@ -550,6 +550,6 @@ def _place(attack: Attack, threat: Threat) -> list[int]:
     return list(divmod(int(threat.cells[0]), attack.world.shape[1]))
 
 
-def _attack_threat_json(attack: Attack, one: Weighed) -> Json:
+def _attack_threat_json(attack: Attack, one: ThreatCost) -> Json:
     facts = {name: getattr(one, name) for name in ("screen", "known", "behind")}
     return {"cell": _place(attack, one.threat), "hidden": one.unknown, **facts}

@@ -12,10 +12,10 @@ from analysis.page.document import Chart, Series
 from analysis.report.answer import (
     asked,
     json_end,
-    luck_words,
-    map_words,
+    map_text,
     run_again,
     search_end,
+    seed_text,
     share_figure,
     sourced,
     team_figure,
@@ -23,7 +23,7 @@ from analysis.report.answer import (
 from analysis.report.model import KeyFigure, Part, Report
 from analysis.search.pareto import LANDMARKS, Front, Point, Setting, settings_of
 from analysis.search.team_size import TeamPoint, TeamSize, TeamVerdict
-from analysis.statistics.estimates import ALPHA, Estimate, between, losses_said, of_all
+from analysis.statistics.estimates import ALPHA, Estimate, between, losses_sentence, of_all
 from analysis.utils.tables import json_text, make_table, without_level
 from planner.arguments import argument
 from planner.files import Json
@@ -35,16 +35,16 @@ def size_report(size: TeamSize) -> Report:
     """The number of robots that is enough, the curves that decide it, and every team."""
     world, chart = size.world, _size_chart(size)
     return Report(
-        "size", "size", f"{world.name}: how many robots for {_aim(size)}?", size_headline(size),
+        "size", "size", f"{world.name}: how many robots for {_aim(size)}?", size_summary(size),
         lambda: _size_json(size), figures=_size_key_figures(size),
-        heading=(f"{map_words(world, size.cells)}, so the target is {size.needed} of them",
-                 f"{size.choices.loop} loop, {luck_words(world, size.choices, size.engine)}"),
+        heading=(f"{map_text(world, size.cells)}, so the target is {size.needed} of them",
+                 f"{size.choices.loop} loop, {seed_text(world, size.choices, size.engine)}"),
         picture=lambda: chart, parts=[Part("Teams", [_table(size)], _footnotes(size))], notes=size.notes,
         settings=size.settings.shown(world.pace), pace=world.pace, pictures={"size.png": lambda: [chart]},
     )  # fmt: skip
 
 
-def size_headline(size: TeamSize) -> str:
+def size_summary(size: TeamSize) -> str:
     """The result in one sentence."""
     if size.partial:
         return f"Interrupted before the answer: {_so_far(size)}."
@@ -313,11 +313,11 @@ def front_report(front: Front) -> Report:
     prices = _prices(front)
     settings = settings_of(front.settings, Setting("mrac")).shown(front.world.pace)
     return Report(
-        "front", "front", asked(front.world, robots, "how many robots does coverage cost?"), front_headline(front),
-        lambda: _front_json(front), pick_lines(front), _front_key_figures(front),
+        "front", "front", asked(front.world, robots, "how many robots does coverage cost?"), front_summary(front),
+        lambda: _front_json(front), selection_lines(front), _front_key_figures(front),
         heading=(
-            f"{map_words(front.world, front.cells, robots)}; {counted(len(front.points), 'setting')}, "
-            + luck_words(front.world, choices, front.engine,
+            f"{map_text(front.world, front.cells, robots)}; {counted(len(front.points), 'setting')}, "
+            + seed_text(front.world, choices, front.engine,
                          f"on the same {counted(choices.rollouts, 'rollout')} each, "),
         ),
         picture=lambda: over_losses,
@@ -334,8 +334,8 @@ def front_report(front: Front) -> Report:
     )  # fmt: skip
 
 
-def front_headline(front: Front) -> str:
-    """Coverage and losses in one sentence, by fresh rollouts; `pick_lines` names the settings.
+def front_summary(front: Front) -> str:
+    """Coverage and losses in one sentence, by fresh rollouts; `selection_lines` names the settings.
 
     With a goal, of the selected point; else of the points of `Front.corners`.
     """
@@ -387,7 +387,7 @@ def _percent(point: Point) -> str:
 
 
 def _lost(front: Front, point: Point) -> str:
-    return losses_said(point.losses, len(front.starts), mean_only=True)
+    return losses_sentence(point.losses, len(front.starts), mean_only=True)
 
 
 def _reported(front: Front) -> list[Point]:
@@ -395,7 +395,7 @@ def _reported(front: Front) -> list[Point]:
     return list(front.priced) if front.confirmed is None else [front.confirmed]
 
 
-def pick_lines(front: Front) -> list[str]:
+def selection_lines(front: Front) -> list[str]:
     """The settings of the summary, their figures with confidence, and the command to evaluate them."""
     reported, again = _reported(front), front.confirmed
     lines = [f"{_named(front, point)}: {_fresh(front, point)}{_exact([point])}." for point in reported]
@@ -428,7 +428,7 @@ def _kept(front: Front, again: Point) -> str:
 
 
 def _fresh(front: Front, point: Point) -> str:
-    said = f"{point.coverage.said(100, ' %')} covered, {losses_said(point.losses, len(front.starts))} lost"
+    said = f"{point.coverage.said(100, ' %')} covered, {losses_sentence(point.losses, len(front.starts))} lost"
     return without_level(said).replace(" (exact)", "")
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from analysis.estimators.trial import Measured, Trial
 from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices
-from analysis.statistics.estimates import TARGETS, Estimate, exactly, is_at_least, looks, share_of_doubt
+from analysis.statistics.estimates import TARGETS, Estimate, error_share, exactly, is_at_least, looks
 from analysis.theory.exact import Worth
 from analysis.theory.verdicts import longest_run
 from analysis.utils.notes import Doing, ProgressCallback, of_things, quiet
@@ -47,7 +47,7 @@ class TeamVerdict(StrEnum):
     """Not enough for any policy: shown by an upper bound, without rollouts."""
 
 
-def judge_team(interval: tuple[float, float], wanted: float) -> TeamVerdict:
+def verdict_of_team(interval: tuple[float, float], wanted: float) -> TeamVerdict:
     """ENOUGH if the whole interval is at or above `wanted`, NOT_ENOUGH if it is below, else UNDECIDED."""
     verdicts = {True: TeamVerdict.ENOUGH, False: TeamVerdict.NOT_ENOUGH, None: TeamVerdict.UNDECIDED}
     return verdicts[is_at_least(interval, wanted)]
@@ -97,7 +97,7 @@ def _strides(first: int, most: int) -> Iterator[int]:
 
 
 @dataclass(frozen=True, eq=False)
-class Ideals:
+class TeamBounds:
     """Policy-independent upper bounds by team size: entry k - 1 is that of k robots, axis `most`.
 
     Attributes:
@@ -109,7 +109,9 @@ class Ideals:
     chance: NDArray[np.float64]
 
 
-def team_ideals(world: World, starts: NDArray[np.int64], cells: int, needed: int, last_step: int | None) -> Ideals:
+def team_upper_bounds(
+    world: World, starts: NDArray[np.int64], cells: int, needed: int, last_step: int | None
+) -> TeamBounds:
     """Upper bounds for the first 1, 2, ..., K robots of `starts` `[K, 2]`, for both meanings of "covered".
 
     The bound of the expectation is that of `analysis.theory.bounds.ideal_team`. Its terms bound the chance too: a team
@@ -126,16 +128,18 @@ def team_ideals(world: World, starts: NDArray[np.int64], cells: int, needed: int
         # Cells of a component count once, when its first robot joins.
         if own[robots - 1] not in own[: robots - 1]:  # a component that no earlier robot can reach
             threat = world.threat[np.isin(labels, own[:robots])].astype(np.float64)
-            expected, reached = ideals_of(threat, len(starts), needed)
+            expected, reached = upper_bounds_of(threat, len(starts), needed)
         coverage[robots - 1], chance[robots - 1] = expected[robots - 1], reached[robots - 1]
     if last_step is not None:
         entries = np.arange(1, len(starts) + 1) * (last_step + 1.0)
         # A robot enters at most one cell in a step.
         coverage, chance = np.minimum(coverage, entries), np.where(entries < needed, 0.0, chance)
-    return Ideals(np.minimum(coverage / cells, 1.0), np.minimum(chance, 1.0))
+    return TeamBounds(np.minimum(coverage / cells, 1.0), np.minimum(chance, 1.0))
 
 
-def ideals_of(threat: NDArray[np.float64], most: int, needed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def upper_bounds_of(
+    threat: NDArray[np.float64], most: int, needed: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Upper bounds of the expected cells visited, and of the chance of `needed`, for 1 .. `most` robots, `[most]` each.
 
     `threat`: float64 `[accessible]`, p of the accessible cells. One pass over the dangerous cells serves all teams.
@@ -247,7 +251,7 @@ class TeamSize(Answer):
         cells: number of cells that the largest team can reach. needed: number of them that makes the target.
         points: the teams simulated or excluded by a bound, by size. robots: the smallest that is enough, or None (also
             after an interruption).
-        doubt: error probability of one comparison of one team (see `share_of_doubt`).
+        doubt: error probability of one comparison of one team (see `error_share`).
         confirmed: the team found on rollout ids that no team had in the search; None: its figures are exact.
         engine: engine of the rollouts; "" if there were none. partial: True after an interruption. notes: for the user.
     """
@@ -318,7 +322,7 @@ def find_size(
     A team is simulated until the interval of its deciding figure lies on one side of the threshold. The interval is
     computed only after 1,024 * 2**j rollouts and after `choices.rollouts`. With `choices.precision` a team is simulated
     until the 95 % interval of its mean coverage has that half-width. The verdicts of the search are simultaneous with
-    95 % confidence (`share_of_doubt`); their intervals are valid for every number of rollouts (`mean_interval`,
+    95 % confidence (`error_share`); their intervals are valid for every number of rollouts (`mean_interval`,
     `chance_interval`). Teams whose expectations are computed exactly in time are not sampled
     (`analysis.estimators.trial`); expected coverage of the open loop is always exact. Coverage is a fraction of the
     cells that the largest team can reach; a smaller team may reach fewer components. With `choices.deadline` all is
@@ -366,7 +370,7 @@ class _Search:
         self, world: World, settings: Settings, goal: Goal, choices: RolloutChoices, progress: ProgressCallback,
         doing: Doing,
     ) -> None:  # fmt: skip
-        world.check_settled("the search for the smallest team")
+        world.require_certain_map("the search for the smallest team")
         self.world, self.settings, self.goal, self.choices = world, settings, goal, choices
         self.progress, self.doing = progress, doing
         self.starts, self.notes = team_starts(world, goal)
@@ -379,9 +383,11 @@ class _Search:
         _check_alike(settings)
         moves = settings.range if settings.recharge is None else None
         ends = [end for end in (choices.deadline, settings.last_step, moves) if isinstance(end, int)]
-        self.ideals: Ideals = team_ideals(world, self.starts, self.cells, self.needed, min(ends, default=None))
-        if not settings.bearing().is_plain:  # the bounds assume that a visit destroys a robot with probability p
-            self.ideals = Ideals(np.ones(len(self.starts)), np.ones(len(self.starts)))
+        self.ideals: TeamBounds = team_upper_bounds(
+            world, self.starts, self.cells, self.needed, min(ends, default=None)
+        )
+        if not settings.failure_model().is_plain:  # the bounds assume that a visit destroys a robot with probability p
+            self.ideals = TeamBounds(np.ones(len(self.starts)), np.ones(len(self.starts)))
         bound = self.ideals.coverage if goal.confidence is None else self.ideals.chance
         able = np.array([is_at_least((0.0, float(best)), goal.wanted) is not False for best in bound])
         self.first = int(able.argmax()) + 1 if able.any() else None
@@ -392,7 +398,7 @@ class _Search:
         self.marks = marks
         able_teams = len(self.starts) + 1 - self.first if self.first else 1
         # Union bound over all teams and checks of the search.
-        self.doubt = share_of_doubt(able_teams, len(marks))
+        self.doubt = error_share(able_teams, len(marks))
         self.engine, self.all_pairs = "", AllPairs()
         ruled_out = range(1, self.first or len(self.starts) + 1)
         self.points = {k: self._unseen(k, TeamVerdict.IMPOSSIBLE) for k in ruled_out}
@@ -472,7 +478,7 @@ class _Search:
             low, high = found.chance_bounds(meaning, self.needed, self.doubt)
         robots = len(trial.plan.robots)
         return replace(
-            self._unseen(robots, judge_team((low, high), self.goal.wanted)),
+            self._unseen(robots, verdict_of_team((low, high), self.goal.wanted)),
             rollouts=found.rollouts,
             interval=(low, high),
             coverage=coverage,

@@ -112,7 +112,7 @@ class Gain:
 
 
 @dataclass(frozen=True, eq=False)
-class Weighed:
+class ThreatCost:
     """A threat with its cost.
 
     Attributes:
@@ -134,23 +134,23 @@ class Weighed:
 class Turn:
     """Selection of one threat: the remaining threats `options`, and `pick`, the index of the one that costs most."""
 
-    options: tuple[Weighed, ...]
+    options: tuple[ThreatCost, ...]
     pick: int
     rolled: int
 
     @property
-    def picked(self) -> Weighed:
+    def picked(self) -> ThreatCost:
         """The selected threat."""
         return self.options[self.pick]
 
     @property
-    def simulated(self) -> tuple[Weighed, ...]:
+    def simulated(self) -> tuple[ThreatCost, ...]:
         """The threats that were simulated with replanning, the selected first, then by gain."""
         rest = [one for one in self.options if one.known is not None and one is not self.picked]
         return (self.picked, *sorted(rest, key=lambda one: -one.known.counted.mean if one.known else 0.0))
 
     @property
-    def best_unknown(self) -> Weighed:
+    def best_unknown(self) -> ThreatCost:
         """The threat with the largest gain if the team keeps its plan."""
         return max(self.options, key=lambda one: one.unknown.counted.mean)
 
@@ -172,7 +172,7 @@ class Turn:
 
 
 def by_cell(
-    options: Sequence[Weighed], shape: tuple[int, int], gain_of: Callable[[Weighed], Gain | None]
+    options: Sequence[ThreatCost], shape: tuple[int, int], gain_of: Callable[[ThreatCost], Gain | None]
 ) -> NDArray[np.float64]:
     """The gain of the threat in each cell, the largest where several overlap, `[H, W]`."""
     gains = np.zeros(shape)
@@ -190,7 +190,7 @@ Remove = Literal["areas", "sources"]
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Weighing(Searched):
+class ThreatResult(Searched):
     """Common fields of the results of both searches for threats; `starts`: of the team, int64 `[K, 2]`."""
 
     listed = "threats"
@@ -204,7 +204,7 @@ class Weighing(Searched):
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Clearing(Weighing):
+class Clearing(ThreatResult):
     """The result of `clear`.
 
     Attributes:
@@ -233,7 +233,7 @@ class Clearing(Weighing):
         return world
 
     @property
-    def options(self) -> tuple[Weighed, ...]:
+    def options(self) -> tuple[ThreatCost, ...]:
         """All threats, as the first to be removed."""
         return self.turns[0].options
 
@@ -292,7 +292,7 @@ class Search:
         self.most = min(most, max(FEWEST, TABLES // self.cells**2))
 
     def asked(self, world: World) -> dict[str, Any]:
-        """The common fields of the result (`Weighing`)."""
+        """The common fields of the result (`ThreatResult`)."""
         engine = "" if self.exact else choose_engine(self.choices.engine).name
         return {"world": world, "starts": self.starts, "settings": self.settings, "choices": self.choices,
                 "cells": self.cells, "engine": engine}  # fmt: skip
@@ -323,7 +323,7 @@ class Search:
         self.exact &= base.exact and not any(gain.rollouts for gain in gains)
         hits = as_is.stops(base)
         options = [
-            Weighed(threat, screen, float(hits[threat.cells].sum()), gain)
+            ThreatCost(threat, screen, float(hits[threat.cells].sum()), gain)
             for threat, screen, gain in zip(threats, screens, gains, strict=True)
         ]
         for contender, place in enumerate(order):
@@ -515,7 +515,7 @@ class Placed:
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Attack(Weighing):
+class Attack(ThreatResult):
     """The result of `attack`.
 
     Attributes:

@@ -35,7 +35,7 @@ def is_at_least(interval: tuple[float, float], wanted: float, slack: float = ROU
     return True if low >= wanted - slack else False if high < wanted - slack else None
 
 
-def share_of_doubt(teams: int, looks: int) -> float:
+def error_share(teams: int, looks: int) -> float:
     """Error probability of one look at one team: ALPHA divided among all possible looks (Bonferroni).
 
     Every team may be looked at up to `looks` times. The union bound over all `teams * looks` intervals holds for any
@@ -136,7 +136,7 @@ def in_unit(interval: str, unit: str = " %") -> str:
     return f"{ends}{unit}{word}{rest}{comma}{how}"
 
 
-def lost_words(mean: float, robots: int, digits: int = 2) -> str:
+def lost_text(mean: float, robots: int, digits: int = 2) -> str:
     """A mean number of lost robots: "1.87 of 5", "all 5"; a value near none or all is not rounded to it.
 
     One decimal at least, two if one would give none or all; "almost" if two are not sufficient.
@@ -149,9 +149,9 @@ def lost_words(mean: float, robots: int, digits: int = 2) -> str:
     return f"{of_all(mean, robots, digits)} of {robots}"
 
 
-def robots_words(mean: float, robots: int, digits: int = 2) -> str:
-    """`lost_words` with the noun: "no robot", "both robots", "all 5 robots", "1.87 of 5 robots"."""
-    words = lost_words(mean, robots, digits) if mean else "no robot"
+def robots_text(mean: float, robots: int, digits: int = 2) -> str:
+    """`lost_text` with the noun: "no robot", "both robots", "all 5 robots", "1.87 of 5 robots"."""
+    words = lost_text(mean, robots, digits) if mean else "no robot"
     return words if words.endswith(("robot", "robots")) else f"{words} robot{'s' * (robots != 1)}"
 
 
@@ -490,19 +490,19 @@ TARGETS = Numbers(0, 1, "a fraction of the accessible cells", above=True)
 """Valid targets of coverage."""
 
 
-def more_said(more: Estimate, costs: str, instead: str, other: str = "more") -> str:
+def difference_text(more: Estimate, costs: str, instead: str, other: str = "more") -> str:
     """ "not knowing it costs 4.1 points ± 0.2 (95 %)"; below 0: "robots that do not know it visit 0.5 points more"."""
     if more.mean >= 0:
         return f"{costs} {more.said(100, ' points')}"
     return f"{instead} {more.negated.said(100, f' points {other}')}"
 
 
-def losses_said(losses: Estimate, robots: int, *, mean_only: bool = False) -> str:
+def losses_sentence(losses: Estimate, robots: int, *, mean_only: bool = False) -> str:
     """`losses_shown` in a sentence: "all 4 robots", "no robot", "0.67 ± 0.01 (95 %) robots".
 
     `mean_only`: "0.67 robots", with the decimals that the interval allows, one at least.
     """
-    words = robots_words(losses.mean, robots, digits := min(losses.digits(), 2))
+    words = robots_text(losses.mean, robots, digits := min(losses.digits(), 2))
     if not words[0].isdigit():
         return words
     mean = of_all(losses.mean, robots, digits) if mean_only else losses.said(most=robots, least=1, less="fewer")

@@ -191,7 +191,7 @@ FIGURES = COLUMNS[1:]
 TRIANGLE = np.triu_indices(PIECES)
 
 
-def luck_sums(tally: Tally) -> list[int]:
+def control_sums(tally: Tally) -> list[int]:
     """Additive integer sums: rollouts, the pieces, their products, and each of FIGURES times each piece.
 
     They fit int64 for one block of rollouts. Empty if the tally lacks the sums by class.
@@ -205,12 +205,13 @@ def luck_sums(tally: Tally) -> list[int]:
     return np.concatenate([[often.sum()], often @ controls, products[TRIANGLE], along.ravel()]).tolist()
 
 
-def beside_luck(
+def with_controls(
     rollouts: int, figures: Sequence[tuple[int, int]], controls: Sequence[int], robots: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A map's means `[F, L]` of FIGURES and the covariances `[F, L, L]` of their errors.
 
-    `figures`: (sum, sum of squares) over the map's rollouts, integers. `controls`: from `luck_sums`. They are 0 for a
+    `figures`: (sum, sum of squares) over the map's rollouts, integers. `controls`: from `control_sums`. They are 0
+    for a
     single rollout, and if `controls` covers other rollouts.
     """
     means, errors = np.zeros((len(figures), BESIDE)), np.zeros((len(figures), BESIDE, BESIDE))
@@ -242,12 +243,12 @@ def weights_of(errors: NDArray[np.float64], freedom: int) -> NDArray[np.float64]
     return weights
 
 
-def put_right(
+def controlled_means(
     means: NDArray[np.float64], errors: NDArray[np.float64], freedom: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A figure's controlled means `[M]` on all maps, and their standard errors `[M]`.
 
-    `means`, `errors`: `[M, L]` and `[M, L, L]` of one figure, from `beside_luck`. `freedom`: as in `weights_of`.
+    `means`, `errors`: `[M, L]` and `[M, L, L]` of one figure, from `with_controls`. `freedom`: as in `weights_of`.
     """
     weights = weights_of(errors.sum(axis=0), freedom)
     return means @ weights, np.sqrt(np.maximum(weights @ errors @ weights, 0.0))
@@ -343,7 +344,7 @@ class Difference:
     gain: float
 
 
-class CommonLuck(NamedTuple):
+class CommonThresholds(NamedTuple):
     """Rollouts and sums of x and y by class of the sum of the thresholds of `robots`, `[C]` each."""
 
     robots: int
@@ -352,14 +353,22 @@ class CommonLuck(NamedTuple):
     y: NDArray[np.int64]
 
     @classmethod
-    def of(cls, robots: int, classes: NDArray[np.int64], x: NDArray[np.int64], y: NDArray[np.int64]) -> CommonLuck:
-        """From single rollouts, int64 `[B]` each; `classes`: from `planner.rollouts.threshold_classes.luck_classes`."""
+    def of(
+        cls, robots: int, classes: NDArray[np.int64], x: NDArray[np.int64], y: NDArray[np.int64]
+    ) -> CommonThresholds:
+        """From single rollouts, int64 `[B]` each; `classes`: from
+        `planner.rollouts.threshold_classes.classes_by_threshold`."""
         sums = (np.bincount(classes, weights=column) for column in (x, y))
         return cls(robots, np.bincount(classes), *sums)
 
 
 def difference(
-    pairs: Paired, unit_x: float, unit_y: float, reach: float, certain: bool = False, controls: CommonLuck | None = None
+    pairs: Paired,
+    unit_x: float,
+    unit_y: float,
+    reach: float,
+    certain: bool = False,
+    controls: CommonThresholds | None = None,
 ) -> Difference:
     """E[y] - E[x], each in its unit, with the interval of `analysis.statistics.estimates.mean_estimate`.
 

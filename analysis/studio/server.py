@@ -36,7 +36,7 @@ from analysis.page.document import TEMPLATES, Html, asset, page_head, policy, wh
 from analysis.page.maps import STEPS, CellLayer, packed_layer, path_lines, thickness
 from analysis.pictures import COVERED, FOG, LOSSES, OBSTACLE, SAFE, SHADES, THREAT, UNREACHABLE
 from analysis.sampling import RolloutChoices, make_roll_out
-from analysis.statistics.estimates import Estimate, losses_shown, lost_words
+from analysis.statistics.estimates import Estimate, losses_shown, lost_text
 from analysis.statistics.estimates import exactly as exact_estimate
 from analysis.statistics.variance_reduction import tally_mean
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
@@ -139,7 +139,7 @@ class Sketch:
         """The sketch of an input. Raises WorldError for an input that cannot be painted on."""
         known, sketch = world.knowledge, cls(world, robots, settings)
         if world.doubt is not None or world.types is not None:
-            world.check_settled("painting")
+            world.require_certain_map("painting")
         if known is None:
             return sketch
         believed = np.unique(world.threat[sketch.unknown])
@@ -267,7 +267,7 @@ def headline(robots: int, mean: Estimate, losses: Estimate, alone: bool = False)
     covers = f"{counted(robots, 'robot covers', 'robots cover')} {without_level(coverage(mean))} of accessible cells"
     if alone:
         covers = f"In the open loop, {counted(robots, 'robot')} would cover {without_level(coverage(mean))}"
-    lost = lost_words(losses.mean, robots, min(losses.digits(), 2))
+    lost = lost_text(losses.mean, robots, min(losses.digits(), 2))
     return f"{covers}; {lost} {'is' if robots == 1 else 'are'} lost."
 
 
@@ -287,7 +287,7 @@ def page_figures(
         Figure(lost, "robots lost", sure),
     ]
     if exact is not None:
-        alone = f"exact; {lost_words(exact.expected_losses, robots)} lost"
+        alone = f"exact; {lost_text(exact.expected_losses, robots)} lost"
         found.append(Figure(percent(exact.visited / cells, 2), "covered in the open loop", alone))
     return found
 
@@ -516,7 +516,7 @@ def with_other_sensors(board: Board, choices: RolloutChoices) -> list[Measured]:
     world = board.sketch.world
     assert world.knowledge is not None
     known, sees = world.knowledge, world.knowledge.sense.range
-    ranges = [inf, sees, *[0.0] * (sees > 0 and known.may_be_blind(world.free))]
+    ranges = [inf, sees, *[0.0] * (sees > 0 and known.safe_without_sensor(world.free))]
     teams = [with_eyes(world, board.plan, far, replace(choices, exact="never")) for far in ranges]
     return list(alike(teams, 0, choices.rollouts))
 

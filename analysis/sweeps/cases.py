@@ -155,7 +155,7 @@ class Team:
         """Hash of all inputs of its plan."""
         said = {
             "shape": list(self.world.shape),
-            "world": self.world.luck_sha256,
+            "world": self.world.randomness_sha256,
             "starts": self.starts.tolist(),
             "plan": names_of_0_3(self.settings.to_json()) if self.plan is None else _plan_hash(self.plan),
         }
@@ -212,8 +212,8 @@ class Places:
     def _checked(self, case: Case, of: Callable[[World], World]) -> Team:
         try:
             team = self._team(case, of)
-            team.world.check_alike("a sweep")
-            team.settings.check_alike("a sweep")
+            team.world.require_uniform("a sweep")
+            team.settings.require_uniform("a sweep")
             team.settings.check_team(len(team.starts))
             return team
         except InputError as error:
@@ -361,12 +361,12 @@ def run_tasks(tasks: list[Task]) -> list[list[RunResult]]:
 
 
 def _tasks_run(wanted: Wanted, task: Task, loops: _Loops) -> RunResult:
-    from planner.rollouts.engine import run_by_luck
+    from planner.rollouts.engine import run_with_threshold_sums
 
     engine = loops.of(wanted.model)
     controlled = wanted.model.loop == "closed"
     tallies = tuple(
-        run_by_luck(engine, wanted.model.seed, start, stop - start)[0]
+        run_with_threshold_sums(engine, wanted.model.seed, start, stop - start)[0]
         if controlled
         else engine.tally(start, stop - start)
         for start, stop in cut(wanted.ids, BLOCK)
@@ -509,10 +509,10 @@ def facts_of(team: Team, plan: Plan, most: int | None = None) -> Json:
         "visited": exact.visited, "survived": exact.survived, "time": exact.mean_time,
         "alive": float(exact.survival.sum()),
     }  # fmt: skip
-    ideal = plan.bearing.is_plain and world.doubt is None
+    ideal = plan.failure_model.is_plain and world.doubt is None
     return {
         "shape": list(world.shape),
-        "world": world.luck_sha256,
+        "world": world.randomness_sha256,
         "robots": robots,
         "cells": {
             "total": world.threat.size,

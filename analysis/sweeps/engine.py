@@ -318,7 +318,7 @@ def setting_of(what: Mapping[str, Label]) -> str:
     return canonical({name: value for name, value in what.items() if name not in (*MAP_LABELS, RULES)})
 
 
-class Older:
+class EarlierRuns:
     """Finds a store's runs with earlier rules. `settings`: those with runs by the latest rules."""
 
     def __init__(self, store: Store) -> None:
@@ -331,7 +331,7 @@ class Older:
         return replace(run, what=run.what | {RULES: EARLIER})
 
 
-def is_older(run: Run, store: Store, homes: dict[str, bool]) -> bool | None:
+def follows_earlier_rules(run: Run, store: Store, homes: dict[str, bool]) -> bool | None:
     """Whether a run without the label RULES follows rules that release 0.4 changed; None: possibly.
 
     `homes`: cache by setting, whether robots return to base; one block is read for each setting.
@@ -355,7 +355,7 @@ def is_older(run: Run, store: Store, homes: dict[str, bool]) -> bool | None:
     return None if CHANGES in world and not in_doubt else False
 
 
-def older_note(sure: int, unsure: int) -> list[str]:
+def earlier_note(sure: int, unsure: int) -> list[str]:
     """The note on runs that follow, and that may follow, rules changed in release 0.4."""
     if not sure + unsure:
         return []

@@ -21,14 +21,14 @@ from analysis.statistics.estimates import MISSED, Z95, Estimate
 from analysis.statistics.variance_reduction import (
     BESIDE,
     NEGLIGIBLE,
-    beside_luck,
     complete_chance,
     tally_mean,
     weights_of,
+    with_controls,
 )
 from analysis.statistics.variance_reduction import FIGURES as BESIDE_LUCK
 from analysis.sweeps.cases import RULES, Label, shown
-from analysis.sweeps.engine import EARLIER, MAP_LABELS, Older, is_older, older_note
+from analysis.sweeps.engine import EARLIER, MAP_LABELS, EarlierRuns, earlier_note, follows_earlier_rules
 from analysis.sweeps.spec import WORLD, is_path
 from analysis.sweeps.store import Run, Store
 from planner.arguments import MAX_STEP, MOST_ROLLOUTS, argument, check_word
@@ -207,7 +207,7 @@ def figures_of(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     assert run.sums is not None
     done = run.sums["outcomes"][Outcome.COMPLETE]
     sums = [(done, done) if name == "complete" else tuple(run.sums[name]) for name in BESIDE_LUCK]
-    found = beside_luck(run.rollouts, sums, run.sums.get("luck", ()), facts["robots"])
+    found = with_controls(run.rollouts, sums, run.sums.get("luck", ()), facts["robots"])
     if is_exact(run):
         found = np.zeros_like(found[0]), np.zeros_like(found[1])
         found[0][:, 0] = [facts["closed_loop"][name] for name in BESIDE_LUCK]
@@ -447,7 +447,7 @@ def parse_where(texts: Iterable[str]) -> Where:
 
 def select(store: Store, where: Where) -> Iterator[Run]:
     """The runs with rollouts whose labels have a wanted value."""
-    older = Older(store)
+    older = EarlierRuns(store)
     for run in map(older.labelled, store.runs()):
         fits = all(name in run.what and shown(run.what[name]) in values for name, values in where.items())
         if fits and run.sums is not None:
@@ -476,10 +476,10 @@ def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
     homes, older = dict[str, bool](), Counter[bool | None]()
     for run in select(store, where):
         if RULES not in run.what and not run.facts.get("rules"):
-            older[is_older(run, store, homes)] += 1
+            older[follows_earlier_rules(run, store, homes)] += 1
         group = groups.setdefault(tuple(run.what.get(name) for name in wanted), {})
         group.setdefault(map_of(run), []).append(part_of(run, pooled))
-    notes = _pooled_notes(seen, wanted, pooled) + older_note(older[True], older[None])
+    notes = _pooled_notes(seen, wanted, pooled) + earlier_note(older[True], older[None])
     rows, runs = [], 0
     for place in sorted(groups, key=lambda values: [_order(value) for value in values]):
         labels, group = dict(zip(wanted, place, strict=True)), _in_order(groups[place])

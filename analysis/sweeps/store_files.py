@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.statistics.variance_reduction import luck_sums
+from analysis.statistics.variance_reduction import control_sums
 from planner.files import Json
 from planner.tally import Tally
 
@@ -65,9 +65,9 @@ def _narrow(values: NDArray[np.int64]) -> NDArray[Any]:
 def sums_of(tally: Tally) -> Json:
     """The tally's sums, exact integers that add: `rollouts`, `outcomes`, and [sum, sum of squares] of each figure.
 
-    `luck`: see `analysis.statistics.variance_reduction.luck_sums`.
+    `luck`: see `analysis.statistics.variance_reduction.control_sums`.
     """
-    said: Json = {"rollouts": tally.rollouts, "outcomes": tally.outcomes.tolist(), "luck": luck_sums(tally)}
+    said: Json = {"rollouts": tally.rollouts, "outcomes": tally.outcomes.tolist(), "luck": control_sums(tally)}
     for figure in FIGURES:
         counts = getattr(tally, figure)
         held = np.flatnonzero(counts)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from analysis.theory.exact import RobotChances, chances_of, robot_chances
+from analysis.theory.exact import PathChances, chances_of, robot_chances
 from planner.plan.plan import Leg, Plan, RobotPlan
 from planner.simulator.codes import NO_CELL
 from planner.simulator.jit import compiled
@@ -80,7 +80,7 @@ def all_bounds(plan: Plan, world: World) -> Bounds:
         return _nothing_known(plan)
     robots = chances_of(plan, world)
     gains = tuple(eq4(robot) for robot in robots)
-    if not plan.bearing.is_plain:
+    if not plan.failure_model.is_plain:
         return replace(
             _nothing_known(plan),
             eq1=tuple(robot.survival for robot in robots),
@@ -88,7 +88,7 @@ def all_bounds(plan: Plan, world: World) -> Bounds:
             eq4=gains,
         )
     # Theorem 3's C does not include ways back to base, on which robots cross each other's areas.
-    others = plan.is_foreign or plan.state is not None or plan.comes_home
+    others = plan.is_external or plan.state is not None or plan.comes_home
     connecting = None if others else connecting_cells(plan)
     left, known, alive = world.accessible(plan.starts).ravel(), 0, len(robots)
     if plan.state is not None:
@@ -114,7 +114,7 @@ def _nothing_known(plan: Plan) -> Bounds:
     return Bounds((unknown,) * each, unknown, unknown, (gain,) * each, (sum5,) * each, None, None, unknown, unknown)
 
 
-def eq2_printed(robots: list[RobotChances], makespan: int) -> float:
+def eq2_printed(robots: list[PathChances], makespan: int) -> float:
     """Eq. (2) as printed: `prod_t (1 - prod_i p_i,t)`, p = 0 for a robot that does not move at step t.
 
     The probability that the whole team is never hit in one single step, which is not the event that the paper states.
@@ -127,7 +127,7 @@ def eq2_printed(robots: list[RobotChances], makespan: int) -> float:
     return float(np.prod(1.0 - together))
 
 
-def team_survival(robots: list[RobotChances]) -> float:
+def team_survival(robots: list[PathChances]) -> float:
     """The event of eq. (2), some robot alive at the end; open loop: `1 - prod_i (1 - Surv(R_i))`.
 
     By logarithms: the product of many numbers close to 1 is 1 in float64.
@@ -136,7 +136,7 @@ def team_survival(robots: list[RobotChances]) -> float:
         return float(-np.expm1(np.log1p([-robot.survival for robot in robots]).sum()))
 
 
-def eq4(robot: RobotChances) -> Meanings[float]:
+def eq4(robot: PathChances) -> Meanings[float]:
     """Eq. (4): expected number of distinct cells on the robot's own path, in both meanings."""
     return Meanings(float(robot.reach[robot.first].sum()), float(robot.passed[robot.first].sum()))
 
@@ -280,7 +280,7 @@ def _reached(dangerous, hits):  # type: ignore[no-untyped-def]
 
 
 @dataclass(frozen=True)
-class MendedTheorem3:
+class CorrectedTheorem3:
     """Three lower bounds on the open loop's E(team), in cells: `count <= largest <= spread <= E(team)`.
 
     Attributes:
@@ -294,7 +294,7 @@ class MendedTheorem3:
     spread: float
 
 
-def mended_theorem3(plan: Plan, world: World) -> Meanings[MendedTheorem3]:
+def corrected_theorem3(plan: Plan, world: World) -> Meanings[CorrectedTheorem3]:
     """Theorem 3 in a correct form, from the robots' own expectations and the cells that they share.
 
     A cell is shared if m >= 2 paths enter it. Let S = sum_i q_i and M = max_i q_i over those m robots.
@@ -331,7 +331,7 @@ def mended_theorem3(plan: Plan, world: World) -> Meanings[MendedTheorem3]:
     )
 
 
-def _mended(robots: list[RobotChances], chances: list[NDArray[np.float64]], cells: int) -> MendedTheorem3:
+def _mended(robots: list[PathChances], chances: list[NDArray[np.float64]], cells: int) -> CorrectedTheorem3:
     total, most, robots_of = np.zeros(cells), np.zeros(cells), np.zeros(cells, dtype=np.int64)
     for robot, chance in zip(robots, chances, strict=True):
         own = robot.cells[robot.first]
@@ -342,7 +342,7 @@ def _mended(robots: list[RobotChances], chances: list[NDArray[np.float64]], cell
     expected, others = float(total.sum()), robots_of[shared] - 1
     rest = total[shared] - most[shared]
     covered = 1.0 - (1.0 - most[shared]) * (1.0 - rest / others) ** others
-    return MendedTheorem3(
+    return CorrectedTheorem3(
         count=expected - float(others.sum()),
         largest=expected - float(rest.sum()),
         spread=expected - float((total[shared] - covered).sum()),

@@ -12,9 +12,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.failure_model import PLAIN, Bearing
+from planner.failure_model import PLAIN, FailureModel
 from planner.plan.plan import Plan, RobotPlan
-from planner.world.moving_threats import ANYWHERE, Mover, Movers, Phases
+from planner.world.moving_threats import ANYWHERE, MovingThreat, MovingThreats, Phases
 from planner.world.uncertain_maps import Hazard, Uncertain
 from planner.world.world import World
 
@@ -48,7 +48,7 @@ def ways(plan: Plan, world: World) -> Iterator[Way] | None:
     phases: None.
     """
     doubt = world.doubt
-    if isinstance(doubt, Movers | Phases):
+    if isinstance(doubt, MovingThreats | Phases):
         return None
     if doubt is None or world.draws is None or not any(world.draws.bound[robot.path].any() for robot in plan.robots):
         return iter([Way(1.0, [_entered(world.met, robot) for robot in plan.robots])])
@@ -154,7 +154,7 @@ def passed_movers(path: NDArray[np.int64], world: World) -> NDArray[np.float64]:
     return passed
 
 
-def _passed_patrol(path: NDArray[np.int64], mover: Mover) -> NDArray[np.float64]:
+def _passed_patrol(path: NDArray[np.int64], mover: MovingThreat) -> NDArray[np.float64]:
     route = np.array(mover.route)
     chance = np.full(len(route), 1.0 / len(route))
     if mover.start != ANYWHERE:
@@ -167,7 +167,7 @@ def _passed_patrol(path: NDArray[np.int64], mover: Mover) -> NDArray[np.float64]
     return _ratios(left)
 
 
-def _passed_walker(path: NDArray[np.int64], mover: Mover, world: World) -> NDArray[np.float64]:
+def _passed_walker(path: NDArray[np.int64], mover: MovingThreat, world: World) -> NDArray[np.float64]:
     free, (height, width) = world.free, world.shape
     around = np.pad(free, 1)
 
@@ -197,7 +197,7 @@ def _ratios(left: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True, eq=False)
-class RobotChances:
+class PathChances:
     """Probabilities of one robot that follows its path alone. Axis `E` = entries of its path (waits left out).
 
     Attributes:
@@ -225,32 +225,32 @@ class RobotChances:
         return float(self.passed[-1])
 
 
-def robot_chances(robot: RobotPlan, world: World, bearing: Bearing = PLAIN, number: int = 0) -> RobotChances:
+def robot_chances(robot: RobotPlan, world: World, failure_model: FailureModel = PLAIN, number: int = 0) -> PathChances:
     """Probabilities along the path of robot `number`, in float64 from the world's float32 threats.
 
     Raises WorldError for moving, uncertain or changing threats.
     """
-    world.check_settled("survival by eq. (1)")
+    world.require_certain_map("survival by eq. (1)")
     threat = world.threat.ravel()[robot.path[robot.entered]].astype(np.float64)
-    return chances_along(robot, threat, bearing, number)
+    return chances_along(robot, threat, failure_model, number)
 
 
 def chances_along(
-    robot: RobotPlan, threat: NDArray[np.float64], bearing: Bearing = PLAIN, number: int = 0
-) -> RobotChances:
+    robot: RobotPlan, threat: NDArray[np.float64], failure_model: FailureModel = PLAIN, number: int = 0
+) -> PathChances:
     """Probabilities along a path whose entries have the given `threat` `[E]`.
 
-    The cumulative hazard at an entry is `-sum ln(1 - threat)`, with survival `Bearing.survival` (SPEC section 14).
+    The cumulative hazard at an entry is `-sum ln(1 - threat)`, with survival `FailureModel.survival` (SPEC section 14).
     """
     steps = robot.entered
     cells = robot.path[steps]
-    if not bearing.is_even:
+    if not failure_model.is_even:
         with np.errstate(divide="ignore"):
-            left = bearing.survival(np.cumsum(-np.log1p(-threat)), number)
+            left = failure_model.survival(np.cumsum(-np.log1p(-threat)), number)
         reach = np.concatenate([[1.0], left[:-1]])
         threat = 1.0 - np.divide(left, reach, out=np.zeros_like(left), where=reach > 0)
     reach = np.concatenate([[1.0], np.cumprod(1.0 - threat)[:-1]])
-    return RobotChances(steps, cells, threat, reach, _first_of_each(cells))
+    return PathChances(steps, cells, threat, reach, _first_of_each(cells))
 
 
 def _first_of_each(cells: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -260,21 +260,21 @@ def _first_of_each(cells: NDArray[np.int64]) -> NDArray[np.bool_]:
     return first[cells] == places
 
 
-def chances_among(robot: RobotPlan, world: World, bearing: Bearing = PLAIN, waits: int = 0) -> RobotChances:
+def chances_among(robot: RobotPlan, world: World, failure_model: FailureModel = PLAIN, waits: int = 0) -> PathChances:
     """Probabilities of one robot alone among moving threats, for every step, waits included.
 
     `waits`: steps after its last move before it gives up.
     """
     moves = robot.entered
     path = np.pad(robot.path[: moves[-1] + 1], (0, waits), mode="edge")
-    own = chances_along(robot, _met(robot, world), bearing)
+    own = chances_along(robot, _met(robot, world), failure_model)
     passed = np.ones(len(path))
     passed[moves] = 1.0 - own.threat
     passed *= passed_movers(path, world)
     first = np.zeros(len(path), dtype=np.bool_)
     first[moves[own.first]] = True
     reach = np.concatenate([[1.0], np.cumprod(passed)[:-1]])
-    return RobotChances(np.arange(len(path)), path, 1.0 - passed, reach, first)
+    return PathChances(np.arange(len(path)), path, 1.0 - passed, reach, first)
 
 
 def _met(robot: RobotPlan, world: World) -> NDArray[np.float64]:
@@ -283,17 +283,19 @@ def _met(robot: RobotPlan, world: World) -> NDArray[np.float64]:
     return world.by_phase.ravel()[world.visits(robot.path[steps], steps)].astype(np.float64)
 
 
-def chances_of(plan: Plan, world: World) -> list[RobotChances]:
+def chances_of(plan: Plan, world: World) -> list[PathChances]:
     """`robot_chances` of every robot. From a mission state, lost robots stay lost, and the first cell costs nothing."""
     if plan.state is None:
-        own = world.of_robots(plan.bearing.types, len(plan.robots))
-        return [robot_chances(robot, own[number], plan.bearing, number) for number, robot in enumerate(plan.robots)]
-    world.check_settled("survival by eq. (1)")
+        own = world.of_robots(plan.failure_model.types, len(plan.robots))
+        return [
+            robot_chances(robot, own[number], plan.failure_model, number) for number, robot in enumerate(plan.robots)
+        ]
+    world.require_certain_map("survival by eq. (1)")
     begun = []
     for number, (robot, its) in enumerate(zip(plan.robots, plan.state.robots, strict=True)):
         threat = world.threat.ravel()[robot.path[robot.entered]].astype(np.float64)
         threat[0] = 0.0 if its.alive else 1.0
-        begun.append(chances_along(robot, threat, plan.bearing, number))
+        begun.append(chances_along(robot, threat, plan.failure_model, number))
     return begun
 
 
@@ -379,23 +381,24 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
     """
     if world.phases is not None:
         robots = [
-            chances_along(robot, _met(robot, world), plan.bearing, number) for number, robot in enumerate(plan.robots)
+            chances_along(robot, _met(robot, world), plan.failure_model, number)
+            for number, robot in enumerate(plan.robots)
         ]
         return exact_of(plan, robots, world.threat.size)
     if world.doubt is None and world.knowledge is None:
         return exact_of(plan, chances_of(plan, world), world.threat.size)
     if world.movers is not None and len(plan.robots) == 1 and is_worth_it(world, plan.makespan):
         waits = max(plan.time - plan.makespan, 0)  # external plans have no waits
-        one = chances_among(plan.robots[0], world, plan.bearing, waits)
+        one = chances_among(plan.robots[0], world, plan.failure_model, waits)
         return exact_of(plan, [one], world.threat.size)
-    doubt, plain = world.doubt, plan.bearing.is_plain
+    doubt, plain = world.doubt, plan.failure_model.is_plain
     known = ways(plan, world) if plain or doubt is None or (isinstance(doubt, Uncertain) and doubt.whole) else None
     if known is None:
         return _of_each_alone(plan, world)
     sums: dict[str, NDArray[np.float64]] = {}
     for way in known:
         robots = [
-            chances_along(robot, threat, plan.bearing, number)
+            chances_along(robot, threat, plan.failure_model, number)
             for number, (robot, threat) in enumerate(zip(plan.robots, way.threats, strict=True))
         ]
         found = exact_of(plan, robots, world.threat.size)
@@ -429,7 +432,7 @@ def _of_each_alone(plan: Plan, world: World) -> OpenLoopExact:
     found = exact_of(plan, robots, world.threat.size)
     consumed = isinstance(world.doubt, Hazard) and world.doubt.kind == "consumed"
     of_each = ("stops_by_cell", "survival", "losses_curve")
-    kept = () if consumed or world.movers is not None or not plan.bearing.is_plain else of_each
+    kept = () if consumed or world.movers is not None or not plan.failure_model.is_plain else of_each
     return OpenLoopExact(
         **{
             name: getattr(found, name) if name in kept else np.full_like(getattr(found, name), np.nan)
@@ -438,7 +441,7 @@ def _of_each_alone(plan: Plan, world: World) -> OpenLoopExact:
     )
 
 
-def exact_of(plan: Plan, robots: list[RobotChances], cells: int) -> OpenLoopExact:
+def exact_of(plan: Plan, robots: list[PathChances], cells: int) -> OpenLoopExact:
     """Exact values of independent robots, from the probabilities along their paths."""
     horizon, state, none = 1 + max(int(r.steps[-1]) for r in robots), plan.state, np.zeros(0, dtype=np.int64)
     before = (none, none) if state is None else (state.visited, state.survived)
@@ -470,7 +473,7 @@ Turn = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 """Cells, steps and positions of the first entries that are the n-th robot's of their cell."""
 
 
-def _turns(robots: list[RobotChances], before: NDArray[np.int64]) -> tuple[int, list[Turn]]:
+def _turns(robots: list[PathChances], before: NDArray[np.int64]) -> tuple[int, list[Turn]]:
     """The number of cells covered `before` step 0, and the first entries of every cell, in order of time."""
     cell = np.concatenate([before, *(r.cells[r.first] for r in robots)])
     step = np.concatenate([np.full(len(before), -1), *(r.steps[r.first] for r in robots)])
@@ -496,7 +499,7 @@ def _coverage(
     return np.minimum(covered, 1.0), gain
 
 
-def _time_chance(robots: list[RobotChances], horizon: int) -> NDArray[np.float64]:
+def _time_chance(robots: list[PathChances], horizon: int) -> NDArray[np.float64]:
     """Distribution of the last step at which a live robot moves: the maximum over independent robots."""
     at_most = np.ones(horizon)
     for robot in robots:
@@ -561,7 +564,7 @@ def open_loop_found(plan: Plan, world: World) -> NDArray[np.float64]:
     detect = Worth.of(world).detect
     total, missed = np.zeros(world.threat.size), np.ones(world.threat.size)
     for number, path in enumerate(plan.robots):
-        robot = robot_chances(path, world, plan.bearing, number)
+        robot = robot_chances(path, world, plan.failure_model, number)
         order = np.argsort(robot.cells, kind="stable")
         cells = robot.cells[order]
         first = np.flatnonzero(np.diff(cells, prepend=-1))

@@ -255,7 +255,7 @@ def any_strategy(world: World, starts: ArrayLike, flow: bool | None = None, ways
     Raises:
         WorldError: the map is uncertain or changes.
     """
-    world.check_settled("the bound for every strategy")
+    world.require_certain_map("the bound for every strategy")
     checked = check_starts(starts, world.threat, world.source)
     threat = np.sort(world.threat[world.accessible(checked)].astype(np.float64))
     solved = np.count_nonzero(threat) <= MOST_DANGEROUS if flow is None else flow

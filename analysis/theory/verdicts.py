@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.statistics.estimates import ALPHA, ROUNDING, chance_interval, is_at_least, mean_interval
-from analysis.theory.bounds import Bounds, Theorem3, mended_theorem3, until_first_loss
+from analysis.theory.bounds import Bounds, Theorem3, corrected_theorem3, until_first_loss
 from analysis.theory.exact import OpenLoopExact, open_loop_exact, robot_chances
 from analysis.theory.flow_programme import optimum
 from analysis.theory.upper_bound import AnyStrategy
-from planner.mrac.problem import most_steps, unknown_of
+from planner.mrac.problem import most_steps, unknown_map_of
 from planner.plan.plan import Plan, is_certain
 from planner.settings import Settings
 from planner.simulator.codes import Outcome
@@ -191,7 +191,7 @@ def exact_truth(plan: Plan, world: World, exact: OpenLoopExact, first_only: bool
 
     The loops are equal for a plan of one robot (every visit checked, nothing learned), and if no path is dangerous.
     """
-    alone = len(plan.robots) == 1 and not (first_only or plan.is_foreign or world.is_learned)
+    alone = len(plan.robots) == 1 and not (first_only or plan.is_external or world.is_learned)
     if not (alone and exact.is_known) and not is_certain(world, plan):
         return None
     stated = None if _is_cut_off(plan) else Truth.known(1.0)
@@ -215,7 +215,7 @@ def sampled_truth(plan: Plan, world: World, tally: Tally, doubt: float) -> Close
     return ClosedTruth(_mean(tally.visited, doubt), _mean(tally.survived, doubt), left, stated, n)
 
 
-def doubt_of_each(figures: int) -> float:
+def error_of_each(figures: int) -> float:
     """Error probability of each of `figures` sampled figures: ALPHA divided by Bonferroni."""
     return ALPHA / max(figures, 1)
 
@@ -446,7 +446,7 @@ def own_bounds(plan: Plan, world: World, bounds: Bounds, limit: AnyStrategy) -> 
     `limit`: the bounds for every strategy. Bounds that were not computed, and an optimum that is too expensive, are
     omitted.
     """
-    mended, calm = mended_theorem3(plan, world), until_first_loss(plan, world)
+    mended, calm = corrected_theorem3(plan, world), until_first_loss(plan, world)
     values: OwnBounds = {}
     for meaning in MEANINGS:
         for form in ("count", "largest", "spread"):
@@ -528,7 +528,7 @@ def proven_failures(checks: Iterable[Check]) -> list[Check]:
 def longest_mission(world: World, starts: ArrayLike, settings: Settings, given: int = 0) -> int:
     """T_max of the closed loop of robots at `starts` `[K, 2]`, in steps; `given`: steps of external paths."""
     checked = check_starts(starts, world.met, world.source)
-    unknown = unknown_of(world, checked, settings.levels)
+    unknown = unknown_map_of(world, checked, settings.levels)
     levels = find_levels(world, world.accessible(checked), settings.levels) if unknown is None else unknown.dearest
     return most_steps(settings, levels, given)
 
@@ -541,8 +541,8 @@ def longest_run(world: World, plan: Plan, loop: Literal["open", "closed"], known
     """
     if loop == "open":
         return plan.makespan
-    if len(plan.robots) == 1 and not plan.is_foreign and world.knowledge is None:
+    if len(plan.robots) == 1 and not plan.is_external and world.knowledge is None:
         return plan.time
     if known is not None:
         return known
-    return longest_mission(world, plan.starts, plan.require(world), plan.makespan if plan.is_foreign else 0)
+    return longest_mission(world, plan.starts, plan.require(world), plan.makespan if plan.is_external else 0)

@@ -96,7 +96,7 @@ def notice_compiling() -> None:
         event.register(kind, Listener())
 
 
-def compiles_for(plan: Plan, loop: str = "closed") -> None:
+def announce_compilation(plan: Plan, loop: str = "closed") -> None:
     """Later compilations are reported as the simulator of this plan in this loop."""
     ANNOUNCER.what = "the open loop" if loop == "open" or plan.settings is None else _named(plan.settings.policy)
 
@@ -109,9 +109,9 @@ def _named(policy: Policy) -> str:
 def compiling_elsewhere(policies: Iterable[Policy]) -> Iterator[None]:
     """Report that worker processes compile the simulators of those policies, unless they are cached."""
     from planner.simulator.jit import is_cached
-    from planner.simulator.rollouts import run_set
+    from planner.simulator.rollouts import run_group_tasks
 
-    if is_cached(run_set):
+    if is_cached(run_group_tasks):
         yield
         return
     ANNOUNCER.what = " and ".join(map(_named, policies))

@@ -197,7 +197,7 @@ def _flat(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
 # Phrases on plans and settings.
 
 
-def policy_words(settings: Settings) -> str:
+def policy_text(settings: Settings) -> str:
     """A policy and its limits: "watchful, risk cap 0.25, optimised order of areas"."""
     limits = {name: getattr(settings, name) for name in ("risk_cap", "robot_value", "density")}
     own = [
@@ -207,19 +207,19 @@ def policy_words(settings: Settings) -> str:
     return ", ".join([settings.rule.name, *own])
 
 
-def plan_words(plan: Plan) -> str:
+def plan_text(plan: Plan) -> str:
     """A plan: "6 areas, shared 10 times", then the end of its nominal run (`Plan.ends`).
 
     The policy comes first, unless it is the paper's without further settings.
     """
     often = "once" if plan.shares == 1 else f"{plan.shares:,} times"
     shared = f", shared {often}" if plan.shares else ""
-    policy = "" if plan.settings is None else policy_words(plan.settings)
+    policy = "" if plan.settings is None else policy_text(plan.settings)
     by = "" if policy in ("", "mrac") else f"{policy}; "
     return f"{by}{counted(len(plan.areas), 'area')}{shared}; {plan.ends}"
 
 
-def span_words(plan: Plan, pace: Pace) -> str:
+def span_text(plan: Plan, pace: Pace) -> str:
     """ "makespan 1,315 steps, 2,612 moves, 511 quarter turns"; with the time of turns, if their cost is given.
 
     A run that ends before all is covered waits a few steps before it ends.
@@ -239,18 +239,18 @@ def span_words(plan: Plan, pace: Pace) -> str:
     return f"makespan {pace.steps(plan.makespan)}, {driven}"
 
 
-def bearing_words(plan: Plan, world: World) -> str:
+def failure_text(plan: Plan, world: World) -> str:
     """The meaning of the map's p with a Weibull shape, hazard multipliers or types; "" if p is a probability."""
-    bearing, worst = plan.bearing, float(world.threat[world.free].max(initial=0.0))
-    if bearing.is_plain:
+    failure_model, worst = plan.failure_model, float(world.threat[world.free].max(initial=0.0))
+    if failure_model.is_plain:
         return ""
-    if bearing.is_even:
-        return f"{bearing.said}: each robot has the p of its type; the map's own p applies to no type"
-    chances = [bearing.first_chance(worst, robot) for robot in range(len(plan.robots))]
+    if failure_model.is_even:
+        return f"{failure_model.said}: each robot has the p of its type; the map's own p applies to no type"
+    chances = [failure_model.first_chance(worst, robot) for robot in range(len(plan.robots))]
     least, most = (chance(one) for one in (min(chances), max(chances)))
     fresh = least if least == most else f"{least} to {most}, by robot"
     return (
-        f"{bearing.said}: p is a dose, to which a visit adds -ln(1 - p); the first visit of the worst cell, "
+        f"{failure_model.said}: p is a dose, to which a visit adds -ln(1 - p); the first visit of the worst cell, "
         f"p = {chance(worst)}, destroys a fresh robot with {fresh}"
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.sampling import RolloutChoices
-from analysis.statistics.variance_reduction import put_right
+from analysis.statistics.variance_reduction import controlled_means
 from analysis.sweeps.cases import Case
 from analysis.sweeps.engine import Done, Finished, Job, run_cases
 from analysis.sweeps.results import KEPT, figures_of, is_exact
@@ -88,7 +88,7 @@ class ByMap(Generic[SettingName]):
 def _columns(maps: Sequence[OfMap], rollouts: int) -> Columns:
     means, errors, exact = (np.array(of_all) for of_all in zip(*maps, strict=True))
     names, freedom = ("visited", "alive", "time", "complete"), len(maps) * (rollouts - 1)
-    found = {name: put_right(means[:, KEPT[name]], errors[:, KEPT[name]], freedom) for name in names}
+    found = {name: controlled_means(means[:, KEPT[name]], errors[:, KEPT[name]], freedom) for name in names}
     (visited, se), (alive, _), (time, _), (complete, _) = (found[name] for name in names)
     losses = means[:, KEPT["robots"], 0] - alive
     figures = {"visited": visited, "losses": losses, "time": time, "complete": complete}

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import mrac_jax as mrac
-from analysis.pictures import ROBOT_COLOURS, house_style
+from analysis.pictures import ROBOT_COLOURS, picture_style
 
 REACH = 6
 RANGE, CHARGE = 120, 10
@@ -147,7 +147,7 @@ def recharge() -> Figure:
 
 def main(folder: Path) -> None:
     """Draw all of them."""
-    with house_style():
+    with picture_style():
         drawn = {"teams-speeds": speeds(site()), "teams-radio": radio(site()), "mission-recharge": recharge()}
         for name, figure in drawn.items():
             figure.savefig(folder / f"{name}.png", dpi=110)

@@ -48,7 +48,7 @@ def turning(
     return hold((moves, jnp.where(turns, ln.TURNS, fate)))
 
 
-def affords(book: Book, place: jax.Array, robot: jax.Array, left: jax.Array) -> jax.Array:
+def is_within_range(book: Book, place: jax.Array, robot: jax.Array, left: jax.Array) -> jax.Array:
     """Whether robots `[B]` with so many moves left could return to base from pieces at these places `[B, n]`."""
     steps, goal = at(book.steps.reshape(-1), place), at(book.target.reshape(-1), place)
     way = moves_home(book, jnp.broadcast_to(robot[:, None], place.shape), goal)
@@ -148,7 +148,7 @@ def find_to_share(
     fits = owns & (robots != helper[:, None]) & (left >= 2) & (at(book.steps.reshape(-1), place) <= left)
     fits = fits & (cost < NEVER)
     if book.homes is not None:
-        fits = fits & affords(book, place, helper, afford)
+        fits = fits & is_within_range(book, place, helper, afford)
     found = fits.any(axis=1)
     for value in (cost, lanes.robots[:, :, ln.IDENT]):
         fits = fits & (value == jnp.where(fits, value, NEVER).min(axis=1, keepdims=True))

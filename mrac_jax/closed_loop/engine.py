@@ -18,7 +18,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import NDArray
 
-from mrac_jax.arrays import on_host, robot_words, tolerance_words, two_words
+from mrac_jax.arrays import on_host, robot_words, threshold_pairs, uint64_pairs
 from mrac_jax.closed_loop import lanes as ln
 from mrac_jax.closed_loop.book import BASE, COUNT, FIRST, WORD_BITS, HostBook
 from mrac_jax.closed_loop.counting import Counting, follow_nominal, nothing_begun
@@ -29,7 +29,7 @@ from mrac_jax.process import fixed_flags
 from mrac_jax.runtime import keep_jax_programs
 from planner.arguments import BLOCK
 from planner.errors import UsageError
-from planner.failure_model import key_of_luck
+from planner.failure_model import threshold_key
 from planner.rollouts.closed_loop import results_from, tally_from
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.single_run import SingleRun, play
@@ -139,8 +139,8 @@ def hand_over(book: Book, lanes: Lanes, batch: Batch, width: int) -> tuple[Lanes
 
 @partial(jax.jit, static_argnums=2)
 def _thresholds(key: jax.Array, ids: jax.Array, robots: int) -> jax.Array:
-    """Failure thresholds of rollouts `ids` `[B]`, uint32 `[B, robots, 2]`. `key`: of `failure_model.key_of_luck`."""
-    return tolerance_words(robot_words(key, ids, robots))
+    """Failure thresholds of rollouts `ids` `[B]`, uint32 `[B, robots, 2]`. `key`: of `failure_model.threshold_key`."""
+    return threshold_pairs(robot_words(key, ids, robots))
 
 
 @cache
@@ -190,7 +190,7 @@ class DeviceBook:
 
 def _words_of(rows: NDArray) -> NDArray:
     """Rows as JAX has them: int64 in two words."""
-    return two_words(rows) if rows.dtype == np.int64 else rows
+    return uint64_pairs(rows) if rows.dtype == np.int64 else rows
 
 
 class JaxClosedLoop:
@@ -290,7 +290,7 @@ class JaxClosedLoop:
             halted, mode=np.where(ends, ln.DONE, ln.RUN), fuel=np.full(B, 2**30, np.int32),
             left=np.zeros_like(halted.left),
         )  # fmt: skip
-        some = {"first": halted, "before": two_words(ENDLESS - left), "milestones": np.array(marks, np.int32)}
+        some = {"first": halted, "before": uint64_pairs(ENDLESS - left), "milestones": np.array(marks, np.int32)}
         self._fixed |= jax.device_put(some, self._whole)
         self._lanes = replace(self._lanes, mode=jax.device_put(np.full(D * B, ln.OFF, np.int32), self._shared))
 
@@ -335,12 +335,12 @@ class JaxClosedLoop:
         queue = np.zeros(D * room, np.int64)
         queue[places] = ids
         put = partial(jax.device_put, device=self._shared)
-        if self.loop.bearing.is_even:
-            key = np.array(key_of_luck(self.seed), np.uint32)
+        if self.loop.failure_model.is_even:
+            key = np.array(threshold_key(self.seed), np.uint32)
             left = put(_thresholds(key, put(queue.astype(np.uint32)), K))
         else:  # robots that wear, or differ in susceptibility
-            drawn = self.loop.bearing.tolerances(self.seed, queue, self.loop.robots)
-            left = put(two_words(np.pad(drawn, ((0, 0), (0, K - drawn.shape[1])))))
+            drawn = self.loop.failure_model.tolerances(self.seed, queue, self.loop.robots)
+            left = put(uint64_pairs(np.pad(drawn, ((0, 0), (0, K - drawn.shape[1])))))
         rows = (LOG_ROUNDS + 1) * rows_of_round(self.loop.comes_home, B, K)
         zeros = partial(jnp.zeros, device=self._shared)  # made where they are needed: they may be gigabytes
         made = on_host(

@@ -14,7 +14,14 @@ import jax.numpy as jnp
 from mrac_jax.arrays import less
 from mrac_jax.closed_loop import lanes as ln
 from mrac_jax.closed_loop.book import BISECTED, HOMEWARD, LENGTH, NEVER, PARTS, PIECE, SPLIT
-from mrac_jax.closed_loop.decisions import affords, all_return, find_to_share, moves_home, owner_sets_out, turning
+from mrac_jax.closed_loop.decisions import (
+    all_return,
+    find_to_share,
+    is_within_range,
+    moves_home,
+    owner_sets_out,
+    turning,
+)
 from mrac_jax.closed_loop.lanes import Book, Ended, Lanes, Log, at, entered, hold, look_up, one_cell, pick, walk
 from planner.simulator.codes import Outcome
 
@@ -69,7 +76,7 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     afford, too_far = until - step, jnp.zeros_like(due)
     if homes is not None:
         afford = jnp.minimum(until, homes.last) - step
-        every, costs = costs, jnp.where(affords(book, place, who, afford), costs, NEVER)
+        every, costs = costs, jnp.where(is_within_range(book, place, who, afford), costs, NEVER)
         too_far = (costs.min(axis=1) == NEVER) & (every.min(axis=1) < NEVER)
         costs = jnp.where(too_far[:, None], every, costs)
     best = jnp.argmin(costs, axis=1).astype(jnp.int32)

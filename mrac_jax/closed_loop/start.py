@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.arrays import on_host, two_words
+from mrac_jax.arrays import on_host, uint64_pairs
 from mrac_jax.closed_loop import lanes as ln
 from mrac_jax.closed_loop.book import BASE, END, LENGTH, NEVER, NOWHERE, HostBook
 from mrac_jax.closed_loop.lanes import Lanes
@@ -86,7 +86,7 @@ def first_lane(book: HostBook, room: int) -> Lanes:
         Lanes,
         mode=np.int32(ln.RUN), number=np.int32(0), fuel=np.int32(NEVER), visited=visited, survived=survived,
         now=np.zeros_like(visited), slots=slots, made=np.int32(given), key=key, robots=robots,
-        left=np.broadcast_to(two_words(np.array(ENDLESS)), (K, 2)).copy(), shared=np.zeros(2, np.int32),
+        left=np.broadcast_to(uint64_pairs(np.array(ENDLESS)), (K, 2)).copy(), shared=np.zeros(2, np.int32),
         last=np.int32(step - 1 - int(raw.marks["quiet"])), outcome=np.int32(0), over=np.int32(raw.marks["over"]),
         asked=np.zeros(book.words + 1, np.uint32),
     )  # fmt: skip

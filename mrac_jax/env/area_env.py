@@ -27,10 +27,10 @@ from mrac_jax.env.coverage_env import (
     Next,
     Runs,
     State,
-    Told,
-    asked_of,
+    StepBatch,
     checked_actions,
     picture_of,
+    supported_settings,
 )
 from mrac_jax.process import fixed_flags
 from planner.arguments import MAX_STEP, Numbers, argument, check_word, whole
@@ -75,14 +75,14 @@ class AreaEnv:
     ) -> None:
         """`rule`: moves the robots and orders the offers. Raises InputError as `CoverageEnv`."""
         placed = starts_of(world, robots, starts)
-        (world.check_told if isinstance(world.doubt, Hazard) else world.check_settled)("the environment")
-        world.check_alike("the environment")
+        (world.require_known_map if isinstance(world.doubt, Hazard) else world.require_certain_map)("the environment")
+        world.require_uniform("the environment")
         Numbers(0).check("robot_value", robot_value)
         whole(1, 1024).check("offers", offers)
         if isinstance(rule, str):
             check_word("rule", rule, tuple(RULES))
         whole(1).check("max_steps", max_steps, optional=True)
-        self._problem, self._plan = allocated(world, placed, asked_of(world, policy=rule))
+        self._problem, self._plan = allocated(world, placed, supported_settings(world, policy=rule))
         self.world, self.starts, self.robot_value, self.offers = world, placed, float(robot_value), int(offers)
         self.num_agents, self.accessible = len(placed), int(self._problem.levels.accessible.sum())
         self.max_steps = self._problem.max_steps if max_steps is None else int(max_steps)
@@ -172,13 +172,13 @@ class AreaRuns:
         self.env, self._next = env, Next(count)
         self._runs: list[ChosenRun] = []
 
-    def reset(self, seed: int | None = None) -> Told:
+    def reset(self, seed: int | None = None) -> StepBatch:
         """As in `Runs`; before the first decision."""
         rollouts = self._next.begin(seed)
         self._runs = [self.env.begin(self._next.seed, int(rollout)) for rollout in rollouts]
         return self._tell(np.zeros((len(self._runs), self.env.num_agents), np.float32))
 
-    def step(self, actions: ArrayLike) -> Told:
+    def step(self, actions: ArrayLike) -> StepBatch:
         """As in `Runs`, with actions `[B, K]`; each environment runs to its next decision."""
         if not self._runs:
             raise RuntimeError("step before reset")
@@ -196,10 +196,10 @@ class AreaRuns:
             rewards[place] = run.new - new - env.robot_value * (alive & ~env.alive(run))
         return self._tell(rewards)
 
-    def _tell(self, rewards: NDArray[np.float32]) -> Told:
+    def _tell(self, rewards: NDArray[np.float32]) -> StepBatch:
         env, runs = self.env, self._runs
         alive = np.array([env.alive(run) for run in runs])
-        return Told(
+        return StepBatch(
             seen=np.array([env.observe(run) for run in runs]),
             legal=np.array([env.legal(run) for run in runs]),
             rewards=rewards,

@@ -21,11 +21,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mrac_jax.arrays import is_reached, less, threefry2x32, tolerance_words, two_words
+from mrac_jax.arrays import is_reached, less, threefry2x32, threshold_pairs, uint64_pairs
 from mrac_jax.process import fixed_flags, require_jax
 from planner.arguments import SEED, Numbers, argument, did_you_mean, whole
 from planner.errors import PlanError, UsageError
-from planner.failure_model import LUCK_DRAW, OWN_KEYS, key_of
+from planner.failure_model import OWN_KEYS, THRESHOLD_DRAW, key_of
 from planner.settings import Choices, Settings
 from planner.simulator.codes import NO_CELL
 from planner.simulator.searches import neighbour_table
@@ -91,18 +91,18 @@ def check_agents(given: Any, agents: Sequence[str], needed: Sequence[str]) -> No
 # Settings of a world in an environment, and settings that no environment supports.
 
 
-def asked_of(world: World, **given: Any) -> Settings:
+def supported_settings(world: World, **given: Any) -> Settings:
     """The settings of a world, with `given` ones instead of its own, as in `evaluate`.
 
     Raises InputError that names the world for settings that an environment does not simulate as `evaluate` does.
     """
     settings = Choices(**given).settings(world.team.settings, world.pace, by=world.source)
-    settings.check_alike("the environment")
-    bearing = settings.bearing()
+    settings.require_uniform("the environment")
+    failure_model = settings.failure_model()
     unlike = {
         "plan_for": settings.plan_for != "closed_loop",
-        "weibull_shape": bearing.shape != 1,
-        "hazard_multiplier": not bearing.is_even,
+        "weibull_shape": failure_model.shape != 1,
+        "hazard_multiplier": not failure_model.is_even,
         "range": settings.range is not None,
         "return_to": settings.return_to is not None,
         "deadline": settings.deadline is not None,
@@ -172,13 +172,13 @@ class CoverageEnv:
         max_steps: int | None = None,
     ) -> None:
         """Raises InputError for invalid starts or numbers, and for uncertain maps, values, or team settings
-        (`asked_of`) that are not supported."""
+        (`supported_settings`) that are not supported."""
         placed = starts_of(world, robots, starts)
         # Latent hazards are sampled once for each rollout; other uncertain maps are not supported.
         self._hazards = world.draws if isinstance(world.doubt, Hazard) else None
-        (world.check_settled if self._hazards is None else world.check_told)("the environment")
-        world.check_alike("the environment")
-        asked_of(world)
+        (world.require_certain_map if self._hazards is None else world.require_known_map)("the environment")
+        world.require_uniform("the environment")
+        supported_settings(world)
         Numbers(0).check("robot_value", robot_value)
         whole(0).check("view", view, optional=True)
         whole(1).check("max_steps", max_steps, optional=True)
@@ -192,7 +192,7 @@ class CoverageEnv:
         # A blocked move is a stay, so it is offered only as "stay".
         self._legal = np.column_stack([np.ones(len(self._next), bool), self._next[:, 1:] != self._next[:, :1]])
         # Environments have no phases, so the first map is the only one.
-        self._exposure = two_words(world.exposures[0])
+        self._exposure = uint64_pairs(world.exposures[0])
         self._still = np.stack([np.nan_to_num(world.threat), ~world.free]).astype(np.float32)
         size = world.shape if view is None else (2 * view + 1, 2 * view + 1)
         self._box, self._discrete = Box(0.0, 1.0, (len(PLANES), *size)), Discrete(len(ACTIONS))
@@ -276,13 +276,13 @@ class CoverageEnv:
 
     def begin(self, seed: jax.Array, rollout: jax.Array) -> State:
         """The state at t = 0 of a rollout (uint32) of a seed, uint32 `[2]` (low, high), bit for bit as in the spec."""
-        key = jnp.stack(threefry2x32(seed, jnp.uint32(OWN_KEYS), jnp.uint32(LUCK_DRAW)))
+        key = jnp.stack(threefry2x32(seed, jnp.uint32(OWN_KEYS), jnp.uint32(THRESHOLD_DRAW)))
         words = threefry2x32(key, rollout, jnp.arange(self.num_agents, dtype=jnp.uint32))[0]
         none, no = jnp.int32(0), jnp.bool_(False)
         everyone = jnp.ones(self.num_agents, bool)
         start, unvisited = jnp.asarray(self._start), jnp.zeros(len(self._next), bool)
         harmless = None if self._hazards is None else self._without(self._hazards, seed, rollout)
-        state = State(start, tolerance_words(words), everyone, unvisited, none, none, no, harmless)
+        state = State(start, threshold_pairs(words), everyone, unvisited, none, none, no, harmless)
         return self._entered(state, state.cell, everyone)[0]
 
     def _without(self, hazards: Draws, seed: jax.Array, rollout: jax.Array) -> jax.Array:
@@ -410,7 +410,7 @@ def _moves(world: World) -> NDArray[np.int32]:
 # Episodes driven from the host: consecutive rollouts of a seed, NumPy arrays out.
 
 
-class Told(NamedTuple):
+class StepBatch(NamedTuple):
     """Results of a step in B environments.
 
     Attributes:
@@ -485,15 +485,15 @@ class Runs:
         return jax.jit(self._advanced)
 
     @fixed_flags()
-    def reset(self, seed: int | None = None) -> Told:
+    def reset(self, seed: int | None = None) -> StepBatch:
         """Start: rollouts from 0 with a seed, else the next ones; at first of a random seed."""
         rollouts = self._next.begin(seed)
         self._seed = np.asarray(key_of(self._next.seed), np.uint32)
         self.state, batch = self._begin(self._seed, rollouts)
-        return Told(*jax.device_get(batch))
+        return StepBatch(*jax.device_get(batch))
 
     @fixed_flags()
-    def step(self, actions: ArrayLike) -> Told:
+    def step(self, actions: ArrayLike) -> StepBatch:
         """Take the actions `[B, K]`; if an episode was over, its actions are ignored and the next one starts.
 
         Raises UsageError for actions out of range; the state then stays unchanged.
@@ -503,7 +503,7 @@ class Runs:
         given = checked_actions(actions, (self._next.count, self.env.num_agents), len(ACTIONS))
         rollouts = self._next.after(np.asarray(self.state.done))
         self.state, batch = self._advance(self._seed, rollouts, self.state, given.astype(np.int32))
-        return Told(*jax.device_get(batch))
+        return StepBatch(*jax.device_get(batch))
 
     def _began(self, seed: jax.Array, rollouts: jax.Array) -> tuple[State, tuple[jax.Array, ...]]:
         states = jax.vmap(self.env.begin, (None, 0))(seed, rollouts)

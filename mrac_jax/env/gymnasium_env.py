@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from mrac_jax.env.area_env import AreaEnv, make_env, runs_of
-from mrac_jax.env.coverage_env import CoverageEnv, Told, checked_actions
+from mrac_jax.env.coverage_env import CoverageEnv, StepBatch, checked_actions
 from planner.world.world import World
 
 ID = "mrac/Coverage-v0"
@@ -62,7 +62,7 @@ class TeamEnv(gymnasium.Env):
         cut = bool(batch.truncated[0])
         return batch.seen[0], float(batch.rewards[0].sum()), bool(batch.done[0]) and not cut, cut, self._info(batch)
 
-    def _info(self, batch: Told) -> dict[str, Any]:
+    def _info(self, batch: StepBatch) -> dict[str, Any]:
         return {"action_mask": batch.legal[0].astype(np.int8), **batch.figures(0)}
 
     def render(self) -> NDArray[np.uint8] | None:
@@ -98,7 +98,7 @@ class TeamVectorEnv(VectorEnv):
         rewards = batch.rewards.sum(axis=1).astype(np.float64)
         return batch.seen, rewards, batch.done & ~batch.truncated, batch.truncated, self._info(batch)
 
-    def _info(self, batch: Told) -> dict[str, Any]:
+    def _info(self, batch: StepBatch) -> dict[str, Any]:
         return {
             "action_mask": batch.legal.astype(np.int8),
             "covered": batch.covered,

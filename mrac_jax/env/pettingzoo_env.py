@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from mrac_jax.env.area_env import AreaEnv, runs_of
-from mrac_jax.env.coverage_env import CoverageEnv, Told, check_agents, checked_actions
+from mrac_jax.env.coverage_env import CoverageEnv, StepBatch, check_agents, checked_actions
 
 Dicts = tuple[dict[str, NDArray], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]
 
@@ -69,7 +69,7 @@ class CoverageParallelEnv(ParallelEnv):
         """The values of the agents that are still present."""
         return {name: of for name, of in zip(self.possible_agents, each, strict=True) if name in self.agents}
 
-    def _infos(self, batch: Told) -> dict[str, dict[str, Any]]:
+    def _infos(self, batch: StepBatch) -> dict[str, dict[str, Any]]:
         of_all = batch.figures(0)
         masks = self._of_agents(batch.legal[0].astype(np.int8))
         return {name: {"action_mask": mask, **of_all} for name, mask in masks.items()}

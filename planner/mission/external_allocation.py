@@ -176,7 +176,7 @@ class ChosenRun:
         self.decision: Decision | None = None
         self._chooser = _Chooser(self.now, loop.problem)
         self.now.t = self.now.t._replace(asks=self._chooser, notes=self._chooser)
-        if self.now.p is not None:  # else a robot may skip a comparison (`replanning.settle_on`)
+        if self.now.p is not None:  # else a robot may skip a comparison (`replanning.make_first_choice`)
             self.now.p = self.now.p._replace(by_price=False)
         self._saved: list[NDArray[Any]] | None = None
         state = loop.loop.state

@@ -310,7 +310,7 @@ def _still(robot: RobotState, area: int, areas: list[AreaState], kept: NDArray[n
 # They update the map at the end of a step as observed cells do: plans use the current p.
 
 
-class Lessons:
+class HazardUpdates:
     """Phases and hazard estimates of one mission.
 
     Attributes:
@@ -330,9 +330,9 @@ class Lessons:
             )
             raise WorldError(problem, source=world.source, fix=f"{fix}, and report its readings by `seen`")
         if self.evidence is None and world.phases is None:
-            world.check_told("a mission that is driven")
-        elif plan.is_foreign or (plan.settings is not None and plan.settings.transit == "area"):
-            world.check_told("a mission on external paths, or whose legs stay in their area,")
+            world.require_known_map("a mission that is driven")
+        elif plan.is_external or (plan.settings is not None and plan.settings.transit == "area"):
+            world.require_known_map("a mission on external paths, or whose legs stay in their area,")
         self.odds = np.zeros(0, dtype=np.int64) if self.evidence is None else self.evidence.prior.copy()
         self._happened: set[int] = set()
 

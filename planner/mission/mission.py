@@ -19,7 +19,7 @@ from planner.failure_model import exposure_of
 from planner.files import Json, check_new
 from planner.make_plan import allocated_plan, make_plan
 from planner.mission.map_updates import (
-    Lessons,
+    HazardUpdates,
     Seen,
     closed_by,
     closed_state,
@@ -78,8 +78,8 @@ class Mission:
         FRACTION.check("gain", gain)
         whole(1).check("patience", patience, optional=True)
         if world.movers is not None:
-            world.check_settled("a mission that is driven")
-        self.given, self._lessons = world, Lessons(world, plan)
+            world.require_certain_map("a mission that is driven")
+        self.given, self._lessons = world, HazardUpdates(world, plan)
         self._file: Path | None = None
         if self._lessons:
             # The plan uses the map as known at the start; `_lessons` adds what robots learn.
@@ -93,8 +93,8 @@ class Mission:
     def _begin(self, world: World, plan: Plan) -> None:
         # There are no rules yet for reports of robots that differ, or that recharge.
         problem, areas = ready_loop(plan, world)
-        problem.settings.check_not_charged("a mission that is driven")
-        problem.settings.check_alike("a mission that is driven")
+        problem.settings.require_no_recharge("a mission that is driven")
+        problem.settings.require_uniform("a mission that is driven")
         self.world, self._plan = world, plan
         last_update = self._lessons.last_update(problem.levels.accessible)
         self._fleet = Fleet(problem, replace(plan, areas=areas), self.gain, last_update)

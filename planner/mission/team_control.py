@@ -162,7 +162,7 @@ class Fleet(SingleRun):
         self.left[number] = self.moves_left(number)
         interpreted("visits").lose(self.t, self.s, self.c, self.w, self.log, number)
         # A comparison that a robot made before may be outdated by the loss.
-        interpreted("areas").unsettle(self.s)
+        interpreted("areas").compare_again(self.s)
 
     def survive(self, number: int) -> None:
         """The robot has survived the cell that it has just entered."""
@@ -211,7 +211,7 @@ class Fleet(SingleRun):
         t, p, s, w, log, how, me = self.t, self.p, self.s, self.w, self.log, self.how, self.s.robots[number]
         interpreted("visits").survive(s, self.c, me.cell)
         if t.returns and me.doing == Doing.RETURNING:
-            interpreted("return_home").go_home(t, s, log, number)
+            interpreted("return_home").move_to_base(t, s, log, number)
         elif self.moves_left(number) == 0:
             if number not in self.left:
                 interpreted("return_home").stay(t, s, w, log, number)
@@ -223,7 +223,7 @@ class Fleet(SingleRun):
                 me.target = me.cell  # it starts covering in its area
             ended = me.cell == me.target or s.areas[me.area].left == 0
             if p is None and (me.cell == me.target or (me.doing == Doing.COVERING and me.left == 0)):
-                interpreted("fixed_paths").settle(t, s, w, log, how, number)
+                interpreted("fixed_paths").after_move(t, s, w, log, how, number)
             elif p is not None and ended:
                 interpreted("replanning").end_leg(t, p, s, w, log, how, number)
 
@@ -248,7 +248,7 @@ class Fleet(SingleRun):
             if self.p is None:
                 # The area is complete: the robot ends it as if it had covered its last cell on its path.
                 me.doing, me.left = Doing.COVERING, 0
-                interpreted("fixed_paths").settle(t, s, w, self.log, self.how, number)
+                interpreted("fixed_paths").after_move(t, s, w, self.log, self.how, number)
             else:
                 interpreted("replanning").allocate_next(t, self.p, s, w, self.log, number, False)
 
@@ -419,7 +419,7 @@ class Fleet(SingleRun):
         with self._between():
             over, self.s.marks.over = self.s.marks.over, 0
             why = Outcome(over - 1) if over else why
-            interpreted("return_home").call_home(self.t, self.s, self.w, self.log, int(why))
+            interpreted("return_home").start_returns(self.t, self.s, self.w, self.log, int(why))
             self.take_events()
             self._call_home_from_aside()
         self._review()
@@ -429,7 +429,7 @@ class Fleet(SingleRun):
         for number in sorted(self.aside - self.turned):
             if self.s.robots[number].doing != Doing.DEAD and self.moves_left(number) > 0:
                 self.s.robots[number].until = self.left.pop(number) + self._turns(number)
-                interpreted("return_home").turn_home(self.t, self.s, self.w, self.log, number, False)
+                interpreted("return_home").start_return(self.t, self.s, self.w, self.log, number, False)
                 self.take_events()
 
     @property

@@ -86,7 +86,7 @@ CUT_OFF = -1
 
 
 @dataclass(frozen=True, eq=False)
-class Homeward:
+class WaysToBase:
     """Ways to base. Axes: `B` sets of bases (and types), `N` cells, `K` robots.
 
     Attributes:
@@ -110,14 +110,14 @@ class Homeward:
         """h: moves of the robot's way to base from the cell."""
         return int(self.steps[self.of[robot], cell])
 
-    def believing(self, paths: SafestPaths, costs: NDArray[np.int64]) -> Homeward:
+    def with_robot_map(self, paths: SafestPaths, costs: NDArray[np.int64]) -> WaysToBase:
         """The same on another map, with these paths and entry costs int64 `[N]`."""
         found = [ways_to(np.flatnonzero(cells), paths, costs) for cells in self.bases]
         cost, steps, onward = (np.stack(rows) for rows in zip(*found, strict=True))
         return replace(self, cost=cost, steps=steps, onward=onward)
 
 
-def ways_home(
+def ways_to_base(
     settings: Settings,
     starts: NDArray[np.int64],
     shape: tuple[int, int],
@@ -125,7 +125,7 @@ def ways_home(
     costs: NDArray[np.int64],
     homes: NDArray[np.int64] | None = None,
     own: OwnMaps | None = None,
-) -> Homeward | None:
+) -> WaysToBase | None:
     """The ways to base of a team. Cost: a search from every base.
 
     Args:
@@ -161,7 +161,7 @@ def ways_home(
     among = np.stack([np.isin(cells, sets[bases]) for _, bases in pairs.T.tolist()])
     cost, steps, onward = (np.stack(rows) for rows in zip(*found, strict=True))
     last = MAX_STEP if settings.last_step is None else settings.last_step
-    home = Homeward(begun, of.ravel().astype(np.int64), among, cost, steps, onward, last)
+    home = WaysToBase(begun, of.ravel().astype(np.int64), among, cost, steps, onward, last)
     if homes is None:
         _check(home, settings, starts, shape)
     return home
@@ -179,7 +179,7 @@ def _cells(places: str | tuple[tuple[int, int], ...], shape: tuple[int, int]) ->
     return np.unique(rows * shape[1] + cols)
 
 
-def _check(home: Homeward, settings: Settings, starts: NDArray[np.int64], shape: tuple[int, int]) -> None:
+def _check(home: WaysToBase, settings: Settings, starts: NDArray[np.int64], shape: tuple[int, int]) -> None:
     """Raise PlanError for a robot that cannot return to base from its start."""
     moves = np.broadcast_to(np.asarray(MAX_STEP if settings.range is None else settings.range), len(starts))
     for robot, start in enumerate(starts.tolist()):
@@ -198,7 +198,7 @@ def _check(home: Homeward, settings: Settings, starts: NDArray[np.int64], shape:
 def ways_to(
     bases: NDArray[np.int64], paths: SafestPaths, costs: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]]:
-    """Ways to the nearest of some bases: (cost int64, steps int32, onward int32), each `[N]`, as in `Homeward`.
+    """Ways to the nearest of some bases: (cost int64, steps int32, onward int32), each `[N]`, as in `WaysToBase`.
 
     Args:
         bases: int64, cells.

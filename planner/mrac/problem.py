@@ -12,7 +12,7 @@ from scipy import ndimage
 from planner.arguments import MAX_STEP, argument
 from planner.errors import PlanError, WorldError
 from planner.mrac.areas import connected_parts, sides_first
-from planner.mrac.home_paths import Homeward, OwnMaps, own_maps, ways_home, ways_to
+from planner.mrac.home_paths import OwnMaps, WaysToBase, own_maps, ways_to, ways_to_base
 from planner.plan.plan import Area, Plan
 from planner.policies import Rule, rule_of
 from planner.policies.rules import refusal_threshold
@@ -90,7 +90,7 @@ class Unknown:
         return np.append(0, np.cumsum(kept))[begin], seen[kept]
 
 
-def unknown_of(world: World, starts: NDArray[np.int64], most: int) -> Unknown | None:
+def unknown_map_of(world: World, starts: NDArray[np.int64], most: int) -> Unknown | None:
     """The unknown map of a team, or None if the map is known.
 
     Args:
@@ -154,7 +154,7 @@ def reached(free: NDArray[np.bool_], cells: NDArray[np.int64]) -> NDArray[np.boo
 
 NO_LIMIT = 2**40
 """More moves than a run has steps."""
-MOST_WORTH = 1000
+VALUE_SCALE = 1000
 """Value of a cell of the largest value in decisions."""
 
 
@@ -193,7 +193,7 @@ class Problem:
     given: tuple[NDArray[np.int64], ...] = ()
     value: NDArray[np.int64] | None = None
     unknown: Unknown | None = None
-    home: Homeward | None = None
+    home: WaysToBase | None = None
     own: OwnMaps | None = None
 
     @cached_property
@@ -233,7 +233,7 @@ class Problem:
         """Whether the robots' map may change."""
         return self.unknown is not None and self.unknown.learns
 
-    def believing(self, belief: NDArray[np.int16], cells: NDArray[np.int64]) -> Problem:
+    def with_robot_map(self, belief: NDArray[np.int16], cells: NDArray[np.int64]) -> Problem:
         """The same problem on another map of the robots.
 
         Args:
@@ -246,7 +246,7 @@ class Problem:
         costs = np.where(near, self.entry[belief], BLOCKED)
         part = _parts(levels, self.world.shape)
         paths = safest_paths(self.world.shape, costs)
-        home = None if self.home is None else self.home.believing(paths, costs)
+        home = None if self.home is None else self.home.with_robot_map(paths, costs)
         return replace(self, levels=levels, costs=costs, paths=paths, part=part, home=home)
 
     def is_for(self, world: World, settings: Settings, accessible: NDArray[np.bool_]) -> bool:
@@ -260,7 +260,7 @@ class Problem:
         """
         if self.given or any(own is not None for own in (self.unknown, self.own, self.home, self.value, world.value)):
             return False
-        mine = self.world.shape == world.shape and self.world.luck_sha256 == world.luck_sha256
+        mine = self.world.shape == world.shape and self.world.randomness_sha256 == world.randomness_sha256
         return mine and self.settings == settings and np.array_equal(self.levels.accessible, accessible.ravel())
 
     @property
@@ -271,7 +271,7 @@ class Problem:
     @property
     def scale(self) -> int:
         """Value of one cell of the largest value in decisions."""
-        return 1 if self.value is None else MOST_WORTH
+        return 1 if self.value is None else VALUE_SCALE
 
     @cached_property
     def beyond(self) -> int:
@@ -326,7 +326,7 @@ def prepare(
     """
     settings.check()
     if settings.paces or settings.radio is not None:
-        world.check_told("a team of several speeds, or with radio,")
+        world.require_known_map("a team of several speeds, or with radio,")
         if world.phases is not None:
             said = f"several speeds, or radio, require threats that do not change; here: {world.phases.said}"
             raise PlanError(said, source=world.source, fix="leave `phases` out")
@@ -335,7 +335,7 @@ def prepare(
     worlds = world.of_robots(settings.types, len(checked))
     own, mixed = None, len(set(worlds)) > 1
     world = world if mixed else worlds[0]
-    unknown = unknown_of(world, checked, settings.levels)
+    unknown = unknown_map_of(world, checked, settings.levels)
     told = unknown is None
     rule, cells = rule_of(settings.policy), checked[:, 0] * world.shape[1] + checked[:, 1]
     given_range = NO_LIMIT if settings.range is None else settings.range
@@ -350,7 +350,7 @@ def prepare(
         levels = find_levels(world, world.accessible(checked), settings.levels) if unknown is None else unknown.dearest
         costs = entry_costs(levels, settings.risk, world.source)
         entry = level_costs(levels.values, costs.size, settings.risk).astype(np.int64)
-    value = worth_of(world, levels.accessible, settings.priority) if rule.attentive else None
+    value = decision_values(world, levels.accessible, settings.priority) if rule.replanning else None
     if own is None:
         _check_comparisons(rule, levels, costs, entry, value, world.source, apart=told)
     else:  # the surcharge over another type is part of an area's cost
@@ -363,8 +363,8 @@ def prepare(
     problem = Problem(
         world, settings, cells, levels, costs, paths, part, moves, rule, entry, sides, given, value, unknown, None, own
     )
-    problem = problem if unknown is None else problem.believing(unknown.belief, cells)
-    home = ways_home(settings, cells, world.shape, problem.paths, problem.costs, homes, own)
+    problem = problem if unknown is None else problem.with_robot_map(unknown.belief, cells)
+    home = ways_to_base(settings, cells, world.shape, problem.paths, problem.costs, homes, own)
     return problem if home is None else replace(problem, home=home)
 
 
@@ -373,7 +373,7 @@ def _parts(levels: ThreatLevels, shape: tuple[int, int]) -> NDArray[np.int32]:
     return ndimage.label(levels.accessible.reshape(shape), FOUR_NEIGHBOURS)[0].ravel()
 
 
-def worth_of(
+def decision_values(
     world: World, accessible: NDArray[np.bool_], priority: int | tuple[int, ...] | None = None
 ) -> NDArray[np.int64] | None:
     """Values of cells in decisions: round(1000 w / max w), at least 1 for w > 0, w = value * priority.
@@ -400,7 +400,7 @@ def worth_of(
         raise PlanError(f"{argument('priority')} of {len(priority)} cells", source=world.source, expected=expected)
     value = np.where(accessible, 1.0 if world.value is None else world.value.ravel(), 0.0) * np.asarray(priority or 1)
     # Whole numbers, so that prices per value are compared exactly.
-    share = np.rint(MOST_WORTH * (value / (value.max() or 1.0))).astype(np.int64)
+    share = np.rint(VALUE_SCALE * (value / (value.max() or 1.0))).astype(np.int64)
     return np.where(value > 0, np.maximum(share, 1), 0)
 
 
@@ -426,7 +426,7 @@ def _check_comparisons(
     counts = np.maximum(found if apart else np.full_like(found, found.sum()), 1).tolist()
     number, longest = len(entry), int(costs.sum())
     beyond = 0 if value is None else _beyond(longest, costs.size, entry)
-    most = counts if value is None else [MOST_WORTH * n for n in counts]
+    most = counts if value is None else [VALUE_SCALE * n for n in counts]
     shown = [costs.size if rule.looks_ahead else 0] * number
     dearest = list(
         map(Offer, range(number), [longest] * number, counts, entry.tolist(), most, [beyond] * number, shown)
@@ -462,13 +462,13 @@ def ready_loop(plan: Plan, world: World) -> tuple[Problem, tuple[Area, ...]]:
         WorldError: the combination is not supported for unknown maps.
     """
     settings = plan.require(world)
-    if plan.is_foreign:
-        settings.check_alike("the closed loop of an external plan")
-    if plan.is_foreign or plan.state is not None:
-        world.check_told("the closed loop of an external plan" if plan.is_foreign else "a resumed mission")
+    if plan.is_external:
+        settings.require_uniform("the closed loop of an external plan")
+    if plan.is_external or plan.state is not None:
+        world.require_known_map("the closed loop of an external plan" if plan.is_external else "a resumed mission")
     if settings.transit == "area":
-        world.check_told('`transit="area"`, legs that stay in their area,')
-    if not plan.is_foreign:
+        world.require_known_map('`transit="area"`, legs that stay in their area,')
+    if not plan.is_external:
         homes = None if plan.state is None else plan.state.homes(settings.return_to)
         return prepare(world, plan.starts, settings, homes=homes), plan.areas
     problem = prepare(world, plan.starts, settings, given=tuple(robot.path for robot in plan.robots))
@@ -482,7 +482,7 @@ def check_every_visit(world: World, first_only: bool) -> None:
         WorldError: they are.
     """
     if first_only and isinstance(world.doubt, Hazard):
-        world.check_told(argument("threat_checks", "first_visit"))
+        world.require_known_map(argument("threat_checks", "first_visit"))
 
 
 def areas_of_paths(problem: Problem) -> tuple[Area, ...]:

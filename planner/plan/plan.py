@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from planner.arguments import MAX_PLAN_BYTES
 from planner.errors import PlanError
-from planner.failure_model import PLAIN, Bearing
+from planner.failure_model import PLAIN, FailureModel
 from planner.files import Json, check_new, write_json
 from planner.formatting import counted, html_of, text_of
 from planner.plan.state import MissionState
@@ -102,7 +102,7 @@ class Plan:
         notes: for users (cells on no path, ...).
         for_open_loop: whether the paths are those of `planner.open_loop`.
         state: of the mission that the plan resumes: until its step the paths stand still; or None.
-        bears: failure model of an external plan; else the settings determine it. See `bearing`.
+        bears: failure model of an external plan; else the settings determine it. See `failure_model`.
         source: origin of its map, as in `World`: plan files hold it.
     """
 
@@ -118,16 +118,16 @@ class Plan:
     notes: tuple[str, ...] = field(default=())
     for_open_loop: bool = False
     state: MissionState | None = None
-    bears: Bearing = PLAIN
+    bears: FailureModel = PLAIN
     source: str = ""
 
     @property
-    def bearing(self) -> Bearing:
+    def failure_model(self) -> FailureModel:
         """The failure model of its robots, with their cumulative hazards so far."""
         if self.settings is None:
             return self.bears
         begun = () if self.state is None or self.settings.weibull_shape == 1 else self.state.exposures
-        return self.settings.bearing(begun)
+        return self.settings.failure_model(begun)
 
     def of_robots(self, **what: Any) -> Plan:
         """A copy with another `weibull_shape` or `hazard_multiplier`, which affect no decision.
@@ -141,7 +141,7 @@ class Plan:
         settings = replace(self.settings or self._own, **what)
         settings.check()
         settings.check_team(len(self.robots))
-        return replace(self, bears=settings.bearing()) if self.is_foreign else replace(self, settings=settings)
+        return replace(self, bears=settings.failure_model()) if self.is_external else replace(self, settings=settings)
 
     @property
     def _own(self) -> Settings:
@@ -151,7 +151,7 @@ class Plan:
         )
 
     @property
-    def is_foreign(self) -> bool:
+    def is_external(self) -> bool:
         """True for an external plan or one of `planner.open_loop`: paths without areas and settings."""
         return self.settings is None
 
@@ -163,7 +163,7 @@ class Plan:
     @property
     def usual_loop(self) -> Literal["open", "closed"]:
         """The loop that it is rolled out in by default."""
-        return "open" if self.is_foreign else "closed"
+        return "open" if self.is_external else "closed"
 
     @property
     def origin(self) -> str:
@@ -211,7 +211,7 @@ class Plan:
         Raises:
             PlanError: it is for another map.
         """
-        known = ("", world.sha256) if self.is_foreign else (world.sha256,)
+        known = ("", world.sha256) if self.is_external else (world.sha256,)
         if self.shape != world.shape or self.sha256 not in known:
             raise PlanError(
                 f"plan for another map: made for {self.shape[0]}x{self.shape[1]} {self.sha256[:12]}",
@@ -222,7 +222,7 @@ class Plan:
     def until(self, step: int) -> Plan:
         """The plan truncated at the end of `step`: open-loop rollouts are the first steps of the whole plan's."""
         robots = tuple(RobotPlan(robot.path[: step + 1]) for robot in self.robots)
-        return replace(self, settings=None, areas=(), areas_added=(), robots=robots, bears=self.bearing)
+        return replace(self, settings=None, areas=(), areas_added=(), robots=robots, bears=self.failure_model)
 
     def area(self, number: int) -> Area:
         """The area with this id, including those added by sharing."""
@@ -250,7 +250,7 @@ class Plan:
         rows = [("makespan", counted(self.makespan, "step"))]
         if self.settings is not None and self.settings.deadline is not None:
             rows.append(("deadline", f"the mission ends at step {self.settings.deadline:,}"))
-        if not self.is_foreign:
+        if not self.is_external:
             rows += [("areas", f"{len(self.areas)}, {self.shares} of them shared in the run without losses")]
         for number, robot in enumerate(self.robots[:MOST_SHOWN]):
             covered = sum(leg.kind == "cover" for leg in robot.legs)
@@ -262,7 +262,7 @@ class Plan:
 
     def _title(self) -> str:
         policy = "" if self.settings is None or self.settings.policy == DEFAULT else f" by {self.settings.rule.name}"
-        made, ends = (self.origin, "") if self.is_foreign else (f"plan of MRAC{policy}", f"; {self.ends}")
+        made, ends = (self.origin, "") if self.is_external else (f"plan of MRAC{policy}", f"; {self.ends}")
         robots = f"{len(self.robots)} robot{'s' * (len(self.robots) != 1)}"
         return f"{made[0].upper()}{made[1:]}: {robots} on {self.shape[0]} x {self.shape[1]} cells{ends}"
 
@@ -304,7 +304,7 @@ class Plan:
             "areas_added": [area_of(area) for area in self.areas_added],
             "notes": list(self.notes),
             **({"plan_for": "open_loop"} if self.for_open_loop else {}),
-            **(self.bears.to_json() if self.is_foreign else {}),
+            **(self.bears.to_json() if self.is_external else {}),
             **({"state": self.state.to_json()} if self.state is not None else {}),
         }
 
@@ -354,13 +354,13 @@ def is_certain(world: World, plan: Plan, loop: str = "closed") -> bool:
         plan: for it.
         loop: "open" or "closed".
     """
-    unknown = plan.is_foreign or world.knowledge is not None or world.learned_hazard is not None
+    unknown = plan.is_external or world.knowledge is not None or world.learned_hazard is not None
     if world.movers is not None or (loop == "closed" and unknown):
         return False
     if world.draws is not None:
         return not any(world.draws.bound[robot.path].any() for robot in plan.robots)
     # Each robot's own threats: a cell may be safe for one type and not for another.
-    own = world.of_robots(plan.bearing.types, len(plan.robots))
+    own = world.of_robots(plan.failure_model.types, len(plan.robots))
     return not any((of.by_phase.max(axis=0)[robot.path] > 0).any() for of, robot in zip(own, plan.robots, strict=True))
 
 

@@ -105,7 +105,7 @@ def _foreign_plan(paths: Key, keys: dict[str, Key], world: World) -> Plan:
     if kept and ("plan_for" not in keys or keys["plan_for"].value is None):
         notes += (f"robots follow external paths to their end; ignored from {world.source}: {' and '.join(kept)}",)
     told |= {name: keys[name].setting(SETTINGS[name]) for name in BORNE if name in keys}
-    bears = Settings(**told).bearing()
+    bears = Settings(**told).failure_model()
     # The number of robots is only known from the paths: settings with a value for each robot are checked here.
     bears.check(len(robots), source)
     world.of_robots(bears.types, len(robots))

@@ -24,8 +24,8 @@ class Rule:
             own was visited, and covers the cells *still* unvisited, leg by leg. Otherwise the target is the area's
             cheapest cell, visited or not, and a path is followed to its end (SPEC section 5).
         looks_again: on its way, before each dangerous cell, the robot compares its area with the unassigned ones.
-        breaks_off: it also does so while it covers, and is then also held by `risk_cap`. Needs `looks_again`.
-        looks_ahead: it counts the cells that areas would reveal (`Offer.frontier`), which is slow; needs `attentive`.
+        breaks_off: it also does so while it covers, and is then also held by `risk_cap`. Needs `reevaluates`.
+        looks_ahead: it counts the cells that areas would reveal (`Offer.frontier`), which is slow; needs `replanning`.
         limited: whether `risk_cap` and `robot_value` may be combined with it.
         nearest: the order is (level, cost): engines may search for the nearest area of the least level.
         by_price: the order is (C / U, d), U = 0 last: engines may skip areas that come later by bounds on C.
@@ -34,9 +34,9 @@ class Rule:
 
     name: str
     order: Callable[[Offer], Any]
-    attentive: bool = True
-    looks_again: bool = False
-    breaks_off: bool = False
+    replanning: bool = True
+    reevaluates: bool = False
+    preempts: bool = False
     limited: bool = False
     nearest: bool = False
     by_price: bool = False
@@ -44,9 +44,9 @@ class Rule:
     looks_ahead: bool = False
 
     def __post_init__(self) -> None:
-        if self.nearest and self.attentive:
+        if self.nearest and self.replanning:
             raise ValueError(f"rule {self.name}: the order of nearest areas counts cells, visited or not")
-        if (self.looks_again or self.looks_ahead or self.limited) and not self.attentive:
+        if (self.reevaluates or self.looks_ahead or self.limited) and not self.replanning:
             raise ValueError(f"rule {self.name}: re-evaluation, looking ahead and limits need attentive robots")
 
     def key(self, offer: Offer) -> Any:

@@ -17,18 +17,18 @@ def by_level(offer: Offer) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
     return (offer.level, 1), (offer.cost, 1)
 
 
-MRAC = Rule("mrac", by_level, attentive=False, nearest=True)
+MRAC = Rule("mrac", by_level, replanning=False, nearest=True)
 
 
-PER_CELL = Rule("per_cell", by_cost_per_cell, looks_again=True, limited=True, by_price=True)
+PER_CELL = Rule("per_cell", by_cost_per_cell, reevaluates=True, limited=True, by_price=True)
 
 
-FRONTIER = Rule("frontier", by_cost_and_frontier, looks_again=True, limited=True, looks_ahead=True)
+FRONTIER = Rule("frontier", by_cost_and_frontier, reevaluates=True, limited=True, looks_ahead=True)
 
 
 # `per_cell` that re-evaluates before every danger, also while covering, and may wait for its turn (SPEC section 11).
 
-WATCHFUL = Rule("watchful", by_cost_per_cell, looks_again=True, breaks_off=True, limited=True, by_price=True)
+WATCHFUL = Rule("watchful", by_cost_per_cell, reevaluates=True, preempts=True, limited=True, by_price=True)
 
 
 # Orders of the cells of an area (Algorithm 3), stated once for all engines.

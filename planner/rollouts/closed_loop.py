@@ -17,7 +17,7 @@ from planner.plan.plan import Area, Plan, RobotPlan, last_move
 from planner.plan.state import MissionState
 from planner.rollout_sampling import check_counters
 from planner.rollouts.loop import NO_COUNTS, ClosedLoop, known_cells, purpose_of
-from planner.rollouts.runners import Runner, on_threads, run_sets, singles_of
+from planner.rollouts.runners import Runner, on_threads, run_rollouts, singles_of
 from planner.rollouts.tables import ASKED_BEFORE, AllPairs, first_frames, make_policy, make_tables
 from planner.simulator.areas import FRAME_AREA, FRAME_CELL, FRAME_DOING, make_log
 from planner.simulator.codes import NO_AREA, EventKind, Outcome
@@ -66,8 +66,8 @@ def compile_closed_loop(
     """
     problem, areas = ready_loop(plan, world) if problem is None else (problem, plan.areas)
     settings, rule = problem.settings, problem.rule
-    follows = isinstance(settings.in_area, str) and (rule.nearest or (rule.attentive and rule.exact))
-    if not follows and not (interpreted and (rule.nearest or rule.attentive)):
+    follows = isinstance(settings.in_area, str) and (rule.nearest or (rule.replanning and rule.exact))
+    if not follows and not (interpreted and (rule.nearest or rule.replanning)):
         raise PlanError(
             f"the compiled engines do not support {settings.own_words}",
             expected="an exact Rule that re-evaluates, and the planner's own order of cells",
@@ -87,7 +87,7 @@ def compile_closed_loop(
                 expected=f"types x cells x cells up to {MOST_TABLED**2:,}",
                 fix="coarsen the map",
             )
-    tables = make_tables(problem, cells, areas, tabled, kept, plan.bearing)
+    tables = make_tables(problem, cells, areas, tabled, kept, plan.failure_model)
     if interpreted and len(cells) >= LARGE:  # a single run rarely asks for the costs from a cell again
         tables = tables._replace(patience=ASKED_BEFORE)
     return ClosedLoop(
@@ -99,10 +99,10 @@ def compile_closed_loop(
         first_only=first_only,
         stay_inside=settings.transit == "area",
         rule=rule,
-        policy=make_policy(problem, cells, tables, interpreted=interpreted) if rule.attentive else None,
+        policy=make_policy(problem, cells, tables, interpreted=interpreted) if rule.replanning else None,
         state=plan.state,
         purpose=purpose_of(world),
-        bearing=plan.bearing,
+        failure_model=plan.failure_model,
         movers=world.movers,
         doubt=world.doubt if learns and isinstance(world.doubt, Uncertain) else None,
         in_area=None if isinstance(settings.in_area, str) else _by_order(settings.in_area, cells),
@@ -117,7 +117,7 @@ def _by_order(order: Callable[[CellOffer], Any], cells: NDArray[np.int64]) -> Ca
 def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool, state: MissionState | None) -> str:
     width = problem.world.shape[1]
     said = {
-        "world": problem.world.luck_sha256,
+        "world": problem.world.randomness_sha256,
         "settings": names_of_0_3(problem.settings.to_json()),
         "areas": [[area.level, area.robot, area.cells.tolist()] for area in areas],
         "starts": [divmod(cell, width) for cell in problem.starts.tolist()],
@@ -153,7 +153,7 @@ def run_range(
         (tally, results or None).
     """
     kept = singles_of(loop, start, count if singles else 0)
-    tally = tally_from(loop, seed, start, count, run_sets(loop, seed, start, count, threads, kept))
+    tally = tally_from(loop, seed, start, count, run_rollouts(loop, seed, start, count, threads, kept))
     if not singles:
         return tally, None
     return tally, results_from(start, kept.numbers, kept.worth)

@@ -87,10 +87,10 @@ def closed_loop_gradient(
         WorldError: an uncertain map, moving or changing threats, an online mission; p outside of 0 <= p < 1.
         UsageError: too few rollouts; a tree that is too large.
     """
-    world.check_settled("the closed loop's gradient")
-    if not plan.bearing.is_plain:
+    world.require_certain_map("the closed loop's gradient")
+    if not plan.failure_model.is_plain:
         raise PlanError(
-            f"the closed loop's gradient requires one p for all visits of a cell; here: {plan.bearing.said}",
+            f"the closed loop's gradient requires one p for all visits of a cell; here: {plan.failure_model.said}",
             fix="leave `weibull_shape`, `hazard_multiplier` and `types` out",
         )
     given = world.threat if p is None else np.asarray(p, dtype=np.float32)

@@ -23,7 +23,7 @@ from planner.rollouts.open_loop import CompiledPlan, OpenLoop, compile_plan
 from planner.rollouts.open_loop_numba import NumbaOpenLoop
 from planner.rollouts.single_run import PythonLoop
 from planner.rollouts.tables import AllPairs
-from planner.rollouts.threshold_classes import sums_by_luck
+from planner.rollouts.threshold_classes import sums_by_threshold
 from planner.simulator.codes import Outcome
 from planner.tally import RolloutResults, Tally, Trace
 from planner.world.world import World
@@ -145,7 +145,7 @@ CELLS_A_CALL = 2**21
 Result = TypeVar("Result")
 
 
-def worth_a_call(cells: int) -> int:
+def rollouts_per_call(cells: int) -> int:
     """Closed-loop rollouts that a call should have: a block, on large maps an aligned part of one.
 
     Args:
@@ -221,7 +221,7 @@ class NumbaClosedLoop:
         """Args: `threads`: None for all cores; no count depends on it."""
         self.loop, self.seed, self._threads = loop, seed, threads
         self.accessible = loop.accessible
-        self.least = worth_a_call(self.accessible) if loop.tabled else 1
+        self.least = rollouts_per_call(self.accessible) if loop.tabled else 1
 
     def tally(self, start: int, count: int) -> Tally:
         """The tally of rollouts `start .. start + count - 1`."""
@@ -443,8 +443,8 @@ class Chunk:
     compile_seconds: float
 
 
-def run_by_luck(engine: Engine, seed: int, start: int, count: int) -> tuple[Tally, RolloutResults]:
-    """`engine.run`, with the sums by class of total threshold in the tally (`sums_by_luck`).
+def run_with_threshold_sums(engine: Engine, seed: int, start: int, count: int) -> tuple[Tally, RolloutResults]:
+    """`engine.run`, with the sums by class of total threshold in the tally (`sums_by_threshold`).
 
     Args:
         engine: of these rollouts.
@@ -453,7 +453,7 @@ def run_by_luck(engine: Engine, seed: int, start: int, count: int) -> tuple[Tall
         count: rollouts.
     """
     tally, results = engine.run(start, count)
-    return replace(tally, by_luck=sums_by_luck(results, seed, tally.robots)), results
+    return replace(tally, by_luck=sums_by_threshold(results, seed, tally.robots)), results
 
 
 def run_chunks(
@@ -478,7 +478,7 @@ def run_chunks(
             it.
         checkpoints: numbers of rollouts (counted from `start`) at which a chunk has to end, for stopping rules.
         results: whether chunks hold the results of single rollouts.
-        by_luck: the seed, if the tally gets the sums by class of total threshold (`run_by_luck`).
+        by_luck: the seed, if the tally gets the sums by class of total threshold (`run_with_threshold_sums`).
 
     Raises:
         UsageError: ids or a chunk out of range.
@@ -486,7 +486,7 @@ def run_chunks(
 
     def work(first: int, size: int) -> tuple[Tally, RolloutResults | None]:
         if by_luck is not None:
-            return run_by_luck(engine, by_luck, first, size)
+            return run_with_threshold_sums(engine, by_luck, first, size)
         return engine.run(first, size) if results else (engine.tally(first, size), None)
 
     check_range(start, count, chunk, 0)

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 
 from planner.arguments import argument
 from planner.errors import UsageError
-from planner.failure_model import PLAIN, Bearing
+from planner.failure_model import PLAIN, FailureModel
 from planner.plan.state import MissionState
 from planner.policies.rule import Rule
 from planner.rollout_sampling import first_places
-from planner.rollouts.tables import kinds_of, luck_tables, set_back_to
+from planner.rollouts.tables import kinds_of, visit_tables, write_mission_state
 from planner.simulator.policy import Policy
 from planner.simulator.state import DETECTS, TRUTH, State, Tables, first_state
 from planner.tally import Tally, tally_key
-from planner.world.moving_threats import Movers
+from planner.world.moving_threats import MovingThreats
 from planner.world.uncertain_maps import Uncertain
 from planner.world.world import World
 
@@ -124,8 +124,8 @@ class ClosedLoop:
     state: MissionState | None = None
     weights: Weights | None = None
     purpose: int = 0
-    bearing: Bearing = PLAIN
-    movers: Movers | None = None
+    failure_model: FailureModel = PLAIN
+    movers: MovingThreats | None = None
     doubt: Uncertain | None = None
     in_area: Callable[[int, int, int], Any] | None = None
 
@@ -197,7 +197,7 @@ class ClosedLoop:
         if room not in self._first:
             first = first_state(self.tables, room, self.weights is not None)
             if self.state is not None:
-                set_back_to(self.state, first, self.tables, self.cells)
+                write_mission_state(self.state, first, self.tables, self.cells)
             levels = 1 if self.doubt is None else len(self.tables.truths)
             rows = (row[None] if levels == 1 else np.repeat(row[None], levels, axis=0) for row in first)
             self._first[room] = typed(State._make(rows))
@@ -240,15 +240,17 @@ class ClosedLoop:
 
     def under(self, world: World) -> ClosedLoop:
         """The same decisions under the threats of `world`, a map of the same cells."""
-        tables = self.tables._replace(**luck_tables(self._kinds(world), self.cells))
-        return replace(self, identity=f"{self.identity}~{world.luck_sha256}", tables=tables, purpose=purpose_of(world))
+        tables = self.tables._replace(**visit_tables(self._kinds(world), self.cells))
+        return replace(
+            self, identity=f"{self.identity}~{world.randomness_sha256}", tables=tables, purpose=purpose_of(world)
+        )
 
     def scoring(self) -> ClosedLoop:
         """The same rollouts, counted also for `planner.rollouts.coverage_gradient`."""
         return replace(self, identity=f"{self.identity}#scores", tables=self.tables._replace(scores=True))
 
     def _kinds(self, world: World) -> tuple[World, ...]:
-        return kinds_of(world, self.bearing.types, self.robots)
+        return kinds_of(world, self.failure_model.types, self.robots)
 
     def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> ClosedLoop:
         """The same rollouts with survived visits counted and values summed up.

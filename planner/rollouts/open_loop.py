@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from planner.arguments import BLOCK, MAX_STEP, argument
 from planner.errors import PlanError, UsageError, names_of_0_3
-from planner.failure_model import Bearing, least_word
+from planner.failure_model import FailureModel, least_word
 from planner.plan.plan import Plan, entries, last_move
 from planner.rollouts.open_loop_events import (
     WORD_BITS,
@@ -88,9 +88,9 @@ class CompiledPlan:
 
     def thresholds(self) -> list[NDArray[np.uint64]]:
         """Per robot uint64 `[D]`: it survives a dangerous entry iff its word is below. For a certain map."""
-        bearing, own = self.plan.bearing, self.world.of_robots(self.plan.bearing.types, self.robots)
+        failure_model, own = self.plan.failure_model, self.world.of_robots(self.plan.failure_model.types, self.robots)
         visits = map(self.world.visits, self.danger_cell, self.danger_step)
-        borne = [bearing.fresh(np.cumsum(own[k].exposures[0][each]), k) for k, each in enumerate(visits)]
+        borne = [failure_model.fresh(np.cumsum(own[k].exposures[0][each]), k) for k, each in enumerate(visits)]
         return [least_word(one).astype(np.uint64) for one in borne]
 
     def until(self, step: int) -> CompiledPlan:
@@ -145,7 +145,7 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
     paths = [np.asarray(robot.path, dtype=np.int64) for robot in plan.robots]
     for robot, path in enumerate(paths):
         _check_path(robot, path, threat)
-    own = [of.by_phase.ravel() for of in world.of_robots(plan.bearing.types, len(paths))]
+    own = [of.by_phase.ravel() for of in world.of_robots(plan.failure_model.types, len(paths))]
     # For an uncertain map an entry is dangerous if it is so in any of the drawn maps.
     if world.draws is not None:
         own = [world.draws.bound.astype(np.float32) / np.float32(UNIT)] * len(paths)
@@ -155,7 +155,7 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
     return CompiledPlan(
         plan=plan,
         world=world,
-        identity=_identity(world, paths, plan.bearing),
+        identity=_identity(world, paths, plan.failure_model),
         shape=world.shape,
         accessible=int(world.accessible(plan.starts).sum()),
         last_step=int(moves.max(initial=0)),
@@ -197,11 +197,11 @@ def _find_entries(paths: list[NDArray[np.int64]], world: World, threats: list[ND
     return Entries(robots, steps, cells, passed.astype(np.int64), dangerous, firsts)
 
 
-def _identity(world: World, paths: list[NDArray[np.int64]], bearing: Bearing) -> str:
+def _identity(world: World, paths: list[NDArray[np.int64]], failure_model: FailureModel) -> str:
     # A plain failure model adds nothing, so that identities of earlier releases stay valid.
-    digest = hashlib.sha256(world.luck_sha256.encode())
-    if not bearing.is_plain:
-        digest.update(json.dumps(names_of_0_3(bearing.to_json())).encode())
+    digest = hashlib.sha256(world.randomness_sha256.encode())
+    if not failure_model.is_plain:
+        digest.update(json.dumps(names_of_0_3(failure_model.to_json())).encode())
     for path in paths:
         digest.update(len(path).to_bytes(8, "little"))
         digest.update(np.ascontiguousarray(path, dtype="<i8").tobytes())
@@ -236,7 +236,7 @@ def _make_tables(compiled: CompiledPlan) -> OpenLoopTables:
         else None,
         joint=None
         if draws is None
-        else joint_draws(draws, compiled.world.exposures, drawn, groups, compiled.plan.bearing),
+        else joint_draws(draws, compiled.world.exposures, drawn, groups, compiled.plan.failure_model),
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from planner.failure_model import Bearing
+from planner.failure_model import FailureModel
 from planner.plan.plan import Plan, RobotPlan, last_move
 from planner.rollout_sampling import Luck
 from planner.simulator.codes import NO_AREA, NO_ROBOT, Doing, EventKind, Outcome
@@ -37,7 +37,7 @@ def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int) -> Trace:
         seed: of the random numbers.
         rollout: id.
     """
-    stops = _stops(plan, Luck(world, seed, rollout, plan.bearing))
+    stops = _stops(plan, Luck(world, seed, rollout, plan.failure_model))
     ends = [last_move(robot.path) if stop is None else stop for robot, stop in zip(plan.robots, stops, strict=True)]
     time = max(ends)
     area_of = _area_of(plan, world)
@@ -654,7 +654,7 @@ class JointDraws(NamedTuple):
         own_counter, there, column: `[E]`, of the cell. spot: int32 `[E]`, index of the cell among those entered.
         exposure: int64 `[E]`, hazard of the visit. doses: int64 `[M, C]`, if the map is one of several.
         robot: uint32 `[S]`, robot of each slot.
-        nodes, times: the failure model (`planner.failure_model`): `wear_nodes`, and int64 `[S]`, hazard multipliers.
+        nodes, times: the failure model (`planner.failure_model`): `weibull_nodes`, and int64 `[S]`, hazard multipliers.
         last: int32 `[S]`, the outcome of a slot whose robot survives.
         spots: number of cells that may become harmless in a rollout, 0 unless the first loss has that effect.
     """
@@ -674,7 +674,9 @@ class JointDraws(NamedTuple):
     spots: int
 
 
-def joint_draws(draws: Draws, exposures: Exposures, entries: Entries, groups: Groups, bearing: Bearing) -> JointDraws:
+def joint_draws(
+    draws: Draws, exposures: Exposures, entries: Entries, groups: Groups, failure_model: FailureModel
+) -> JointDraws:
     """The draws of the dangerous entries.
 
     Args:
@@ -704,8 +706,8 @@ def joint_draws(draws: Draws, exposures: Exposures, entries: Entries, groups: Gr
         exposure=exposure[cell],
         doses=doses,
         robot=np.maximum(groups.slot_robot, 0).astype(np.uint32),
-        nodes=bearing.nodes,
-        times=bearing.times(len(slot_of))[np.maximum(groups.slot_robot, 0)],
+        nodes=failure_model.nodes,
+        times=failure_model.times(len(slot_of))[np.maximum(groups.slot_robot, 0)],
         last=last,
         spots=len(entered) if draws.spends else 0,
     )

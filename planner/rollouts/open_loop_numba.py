@@ -12,7 +12,7 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from planner.failure_model import key_of_luck, own_key
+from planner.failure_model import own_key, threshold_key
 from planner.rollouts.open_loop import (
     CompiledPlan,
     OpenLoopTables,
@@ -27,7 +27,7 @@ from planner.rollouts.open_loop import (
 from planner.simulator.failure_sampling import hazard_in_state, threefry, tolerance
 from planner.simulator.jit import program, rare_kernel
 from planner.simulator.state import leading_zeros, popcount
-from planner.simulator.thresholds import unworn
+from planner.simulator.thresholds import exp1_hazard
 from planner.tally import RolloutResults
 
 WIDEST = '"prefer-vector-width"="512"'
@@ -168,7 +168,7 @@ def joint_rows(key, own, first, size, draw, alive, borne, spent, rows):  # type:
                 continue
             word = np.int64(threefry(own[0], own[1], rollout, own_counters[number])[0] >> np.uint32(8))
             borne[slot] += hazard_in_state(exposure, doses, theres, columns, number, word)
-            reached = unworn(borne[slot], nodes, times[slot])
+            reached = exp1_hazard(borne[slot], nodes, times[slot])
             if reached >= tolerance(threefry(key[0], key[1], rollout, robot[slot])[0]):
                 alive[slot] = False
                 group, member = slot // members, slot % members
@@ -441,7 +441,7 @@ class NumbaOpenLoop:
         self.compiled = compiled
         self.tables = compiled.tables
         self.threads = threads or available_cores()
-        self._key = tuple(np.uint32(half) for half in key_of_luck(seed))
+        self._key = tuple(np.uint32(half) for half in threshold_key(seed))
         self._scoring = make_scoring(self.tables)
         self._draw = draw_arguments(self.tables)
         draws = compiled.world.draws

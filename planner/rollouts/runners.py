@@ -19,13 +19,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.failure_model import key_of_luck, own_key
+from planner.failure_model import own_key, threshold_key
 from planner.rollout_sampling import MEETING_DRAW, MOVE_DRAW, rows_met
 from planner.rollouts.loop import NO_COUNTS, ClosedLoop, typed, with_features
 from planner.simulator.areas import Log, make_log
 from planner.simulator.codes import NO_AREA, NONE
 from planner.simulator.jit import has_program
-from planner.simulator.rollouts import run_set
+from planner.simulator.rollouts import run_group_tasks
 from planner.simulator.state import (
     AREA_BITS,
     MOST_PASSES,
@@ -37,7 +37,7 @@ from planner.simulator.state import (
     Tables,
     Work,
     first_room,
-    largest_set,
+    largest_group,
     make_counts,
     make_state,
     make_work,
@@ -46,11 +46,11 @@ from planner.simulator.thresholds import LEAST
 from planner.world.map_knowledge import READING_DRAW
 from planner.world.uncertain_maps import Uncertain
 
-LARGEST_SET = 2**20
+LARGEST_GROUP = 2**20
 """Rollouts that a thread takes at a time, of 8 bytes each, 12 where histories are shared out: more are no faster."""
 MOST_KEPT = 2**16
 """The same with thresholds kept, 8 bytes more for each robot, or positions of threats, 8 bytes for each."""
-LEAST_SHARED, MOST_ASIDE = 2**13, 2**8
+LEAST_SHARED, MOST_DEFERRED = 2**13, 2**8
 """Rollouts per thread from which on histories are shared out, and the most groups that each thread then defers."""
 LEAST_WORK = 2**17
 """Rollouts times cells below which a second thread, with 0.4 ms to start and end, does not pay."""
@@ -60,10 +60,10 @@ NO_LOG = make_log(0, 0, 0)
 KNOWN: WeakKeyDictionary[ClosedLoop, list[Work]] = WeakKeyDictionary()
 """Scratch arrays of the loop that ran last: rows of costs and coverage paths of its map serve its next call."""
 Tasks = tuple[NDArray[np.int64], NDArray[np.int64]]
-"""`tasks` and `taken` of `planner.simulator.rollouts.run_set`."""
+"""`tasks` and `taken` of `planner.simulator.rollouts.run_group_tasks`."""
 
 
-def run_sets(
+def run_rollouts(
     loop: ClosedLoop, seed: int, start: int, count: int, threads: int | None, singles: Singles
 ) -> list[Counts]:
     """Run rollouts `start .. start + count - 1` on `threads` threads (None: all cores); the counts of each thread."""
@@ -74,7 +74,7 @@ def run_sets(
     known = KNOWN.pop(loop, [])
     runners = _in_rounds(loop, seed, start, count, threads, singles, known)
     if runners is None:
-        most = MOST_KEPT if loop.keeps_apart else LARGEST_SET
+        most = MOST_KEPT if loop.keeps_apart else LARGEST_GROUP
         runners = on_threads(loop, seed, start, count, most, threads, work, known)
     KNOWN.clear()  # one loop only: its scratch may be a quarter of a gigabyte per thread
     # A state that grew can count longer paths than the first state of the next call.
@@ -138,13 +138,13 @@ def _in_rounds(
     None if there are few rollouts, or no room for histories or areas.
     """
     workers = _workers(loop, threads, count)
-    rounds = max(1, -(-count // (workers * LARGEST_SET)))
+    rounds = max(1, -(-count // (workers * LARGEST_GROUP)))
     most = -(-count // (workers * rounds))
     # State kept by rollout cannot be joined with that of other threads.
     if workers == 1 or most < LEAST_SHARED or loop.keeps_apart or loop.doubt is not None:
         return None
     runners = [Runner(loop, seed, most, known) for _ in range(workers)]
-    waiting = runners[0].make_levels((MOST_ASIDE + 1) * workers)
+    waiting = runners[0].make_levels((MOST_DEFERRED + 1) * workers)
     if len(waiting.marks) < 2 * workers:
         return None
     with ThreadPoolExecutor(max_workers=workers) as pool:
@@ -189,21 +189,21 @@ class _Team:
         share, levels = -(-count // len(self.runners)), len(self.waiting.marks) // len(self.runners)
         self.waiting.marks["first"] = self.waiting.marks["last"] = 0
 
-        def put_aside(runner: Runner, number: int) -> bool:
+        def defer_groups(runner: Runner, number: int) -> bool:
             first, mine = number * share, slice(number * levels, (number + 1) * levels)
             some = ids[first : first + share]
             some[:] = np.arange(start + first, start + first + len(some), dtype=np.uint32)
             stack = State._make(row[mine] for row in self.waiting)
-            used = runner.put_aside(some, stack, self.singles)
+            used = runner.defer_groups(some, stack, self.singles)
             # Segments count from the thread's first id; joined, they count from the first id of the round.
             stack.marks["first"][: used + 1] += first
             stack.marks["last"][: used + 1] += first
             return used != NONE
 
-        if not all(list(self.pool.map(put_aside, self.runners, range(len(self.runners))))):
+        if not all(list(self.pool.map(defer_groups, self.runners, range(len(self.runners))))):
             return False
         self.waiting.robots["bears"] = LEAST  # joined groups have rollouts of which threads know other bounds
-        parts, tasks = sets_of_tasks(ids, self.waiting.marks, self.runners[0].largest_set)
+        parts, tasks = join_groups(ids, self.waiting.marks, self.runners[0].largest_group)
         ends = np.cumsum([0, *map(len, parts)])
         cuts = np.searchsorted(ends, np.linspace(0, ends[-1], len(self.runners) + 1)).tolist()
 
@@ -215,22 +215,22 @@ class _Team:
             return runner.take(self.waiting, tasks, together, self.singles)
 
         list(self.pool.map(copy, cuts, cuts[1:]))
-        remember_alike([runner.work for runner in self.runners])
+        share_cached_paths([runner.work for runner in self.runners])
         return all(list(self.pool.map(take, self.runners)))
 
 
-def whole_set(ids: NDArray[np.uint32]) -> Tasks:
+def one_group(ids: NDArray[np.uint32]) -> Tasks:
     """All ids as one group, from level 0."""
     return np.array([[0, 0, len(ids)]]), np.zeros(1, dtype=np.int64)
 
 
-def sets_of_one(ids: NDArray[np.uint32]) -> Tasks:
+def groups_of_one(ids: NDArray[np.uint32]) -> Tasks:
     """Each id as a group, from level 0."""
     begin = np.arange(len(ids))
     return np.column_stack([np.zeros_like(begin), begin, begin + 1]), np.zeros(1, dtype=np.int64)
 
 
-def sets_of_truths(ids: NDArray[np.uint32], doubt: Uncertain, seed: int) -> Tasks:
+def groups_by_map(ids: NDArray[np.uint32], doubt: Uncertain, seed: int) -> Tasks:
     """Sort the ids by their true map, in place; one group for each map, from the level of that index."""
     # Rollouts with different true maps are different runs from the first step on.
     truth = rows_met(doubt, seed, ids)[:, 0]
@@ -240,9 +240,7 @@ def sets_of_truths(ids: NDArray[np.uint32], doubt: Uncertain, seed: int) -> Task
     return np.column_stack([found[0], begin, np.append(begin[1:], len(ids))]), np.zeros(1, dtype=np.int64)
 
 
-def sets_of_tasks(
-    ids: NDArray[np.uint32], marks: NDArray[np.void], most: int
-) -> tuple[list[NDArray[np.uint32]], Tasks]:
+def join_groups(ids: NDArray[np.uint32], marks: NDArray[np.void], most: int) -> tuple[list[NDArray[np.uint32]], Tasks]:
     """Join the deferred groups with the same history; one task for each, largest first, several beyond `most` rollouts.
 
     Before the first loss all rollouts are the same run: step, robot and verdict of the first loss determine the state.
@@ -270,7 +268,7 @@ def sets_of_tasks(
     return parts, (np.array(tasks, dtype=np.int64).reshape(-1, 3), np.zeros(1, dtype=np.int64))
 
 
-def remember_alike(works: list[Work]) -> None:
+def share_cached_paths(works: list[Work]) -> None:
     """Copy the cached coverage paths of the thread with most of them to the others, whose paths are its first ones."""
     most = max(works, key=lambda work: work.remembered[0])
     known = int(most.remembered[0])
@@ -308,7 +306,7 @@ class Runner:
         self.policy = None if policy is None else typed(policy._replace(stamp=policy.stamp.copy()))
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
         moving = [own_key(seed, draw) for draw in (MOVE_DRAW, MEETING_DRAW, READING_DRAW)]
-        keys = [np.uint32(half) for key in (key_of_luck(seed), own, *moving) for half in key]
+        keys = [np.uint32(half) for key in (threshold_key(seed), own, *moving) for half in key]
         options = loop.max_steps, loop.first_only, loop.stay_inside, 0
         self.how = How._make((*keys[:4], *options, *keys[4:], 0, 0, None, None))
         # A cached path is fixed when it begins: not with rules that re-evaluate, map updates, ranges, or several types.
@@ -344,9 +342,9 @@ class Runner:
         return len(self._state.marks) > self._loop.robots
 
     @property
-    def largest_set(self) -> int:
+    def largest_group(self) -> int:
         """Most rollouts of a group."""
-        return largest_set(self._state, self._most)
+        return largest_group(self._state, self._most)
 
     def run(self, first: int, stop: int, singles: Singles, log: Log = NO_LOG) -> None:
         """Count rollouts `first .. stop - 1`."""
@@ -359,12 +357,12 @@ class Runner:
 
     def fits(self, first: int, stop: int, singles: Singles, log: Log = NO_LOG) -> bool:
         """Count rollouts `first .. stop - 1`; False if the area registry is full: then all counts are void."""
-        begin, most = self._loop.first_state(self._room), self.largest_set
+        begin, most = self._loop.first_state(self._room), self.largest_group
         for at in range(first, stop, most):
             ids = np.arange(at, min(at + most, stop), dtype=np.uint32)
             log.events[:1], self.work.begin[0] = 0, at
             if self._loop.in_doubt:
-                self.work.left[: len(ids)] = self._loop.bearing.tolerances(self._seed, ids, self._loop.robots)
+                self.work.left[: len(ids)] = self._loop.failure_model.tolerances(self._seed, ids, self._loop.robots)
             if self._loop.movers is not None:
                 self.work.at[: len(ids)] = self._loop.first_places(self._seed, ids)
             tasks = self._tasks(ids)
@@ -375,8 +373,8 @@ class Runner:
     def _tasks(self, ids: NDArray[np.uint32]) -> Tasks:
         """The groups that these rollouts begin as."""
         if self._loop.doubt is not None:
-            return sets_of_truths(ids, self._loop.doubt, self._seed)
-        return sets_of_one(ids) if self._loop.runs_alone else whole_set(ids)
+            return groups_by_map(ids, self._loop.doubt, self._seed)
+        return groups_of_one(ids) if self._loop.runs_alone else one_group(ids)
 
     def run_one(self, rollout: int, log: Log = NO_LOG) -> NDArray[np.int32]:
         """Run one rollout; its numbers, int32 `[SINGLES]`. Counts are not kept from one call to the next."""
@@ -385,15 +383,15 @@ class Runner:
         self.run(rollout, rollout + 1, single, log)
         return single.numbers[0]
 
-    def put_aside(self, ids: NDArray[np.uint32], stack: State, singles: Singles) -> int:
-        """Defer groups at their first loss in `stack`, as `run_set` does; how many, or NONE.
+    def defer_groups(self, ids: NDArray[np.uint32], stack: State, singles: Singles) -> int:
+        """Defer groups at their first loss in `stack`, as `run_group_tasks` does; how many, or NONE.
 
         Cached coverage paths are dropped: those cached until the first loss are then the same for every thread, in the
         same order.
         """
         self.work.remembered[:], self.work.slots[:] = 1, 0
         first, how = self._loop.first_state(self._room), self.how._replace(aside=len(stack.marks) - 1)
-        return self._call(first, whole_set(ids), stack, NO_LOG, how, ids, singles)
+        return self._call(first, one_group(ids), stack, NO_LOG, how, ids, singles)
 
     def take(self, waiting: State, tasks: Tasks, ids: NDArray[np.uint32], singles: Singles, log: Log = NO_LOG) -> bool:
         """Run tasks until all are taken; False if the area registry is full."""
@@ -432,8 +430,8 @@ class Runner:
     def _call(
         self, waiting: State, tasks: Tasks, stack: State, log: Log, how: How, ids: NDArray[np.uint32], singles: Singles
     ) -> int:
-        """`run_set` under the loop's policy."""
-        return int(run_set(*self._arguments(waiting, tasks, stack, log, how, ids, singles)))
+        """`run_group_tasks` under the loop's policy."""
+        return int(run_group_tasks(*self._arguments(waiting, tasks, stack, log, how, ids, singles)))
 
     def _arguments(self, waiting: State, tasks: Tasks, stack: State, *others: Any) -> tuple[Any, ...]:
         return self.tables, self.policy, self.counts, waiting, *tasks, stack, self.work, *others
@@ -441,5 +439,5 @@ class Runner:
     def is_compiled(self, cached: bool) -> bool:
         """True if the program of these rollouts is compiled in this process or, with `cached`, in the cache."""
         ids, state = np.zeros(1, dtype=np.uint32), self._state
-        given = self._arguments(state, whole_set(ids), state, NO_LOG, self.how, ids, singles_of(self._loop, 0, 0))
-        return has_program(run_set, given, cached)
+        given = self._arguments(state, one_group(ids), state, NO_LOG, self.how, ids, singles_of(self._loop, 0, 0))
+        return has_program(run_group_tasks, given, cached)

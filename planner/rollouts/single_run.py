@@ -162,7 +162,7 @@ class SingleRun:
             self.t = self.t._replace(bound=np.ones_like(self.t.bound), loses=loses)
         self.ids = np.array([rollout], dtype=np.uint32)
         if loop.in_doubt:
-            self.w.left[:1] = loop.bearing.tolerances(seed, self.ids, loop.robots)
+            self.w.left[:1] = loop.failure_model.tolerances(seed, self.ids, loop.robots)
         if loop.movers is not None:
             self.w.at[:1] = loop.first_places(seed, self.ids)
         truth = 0 if loop.doubt is None else int(rows_met(loop.doubt, seed, rollout)[0])
@@ -615,11 +615,11 @@ def state_of(run: SingleRun, problem: Problem, cumulative_hazard: Sequence[int] 
             robot may exceed every threshold that can be drawn: then the largest possible value is kept.
     """
     world, settings, loop = problem.world, problem.settings, run.loop
-    settings.check_not_charged("the state of a mission")
-    settings.check_alike("the state of a mission")
+    settings.require_no_recharge("the state of a mission")
+    settings.require_uniform("the state of a mission")
     known, home, cells = None, problem.home, loop.cells
     if cumulative_hazard is not None and settings.weibull_shape != 1:
-        known = np.minimum(cumulative_hazard, settings.bearing().most(loop.robots)).tolist()
+        known = np.minimum(cumulative_hazard, settings.failure_model().most(loop.robots)).tolist()
     area_of, visited, areas = run.area_of, run.visited, list[AreaState]()
     owner = {int(robot.area): robot.number for robot in run.robots if robot.on_its_way}
     place = dict[int, int]()

@@ -13,7 +13,7 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from planner.errors import PlanError
-from planner.failure_model import PLAIN, Bearing
+from planner.failure_model import PLAIN, FailureModel
 from planner.mrac.problem import Problem, Unknown
 from planner.plan.plan import Area
 from planner.plan.state import ON_ITS_WAY, MissionState, RobotState
@@ -89,7 +89,7 @@ def make_tables(
     areas: tuple[Area, ...],
     tabled: bool,
     kept: AllPairs | None = None,
-    bearing: Bearing = PLAIN,
+    failure_model: FailureModel = PLAIN,
 ) -> Tables:
     """Make the tables of a problem with this allocation.
 
@@ -141,9 +141,9 @@ def make_tables(
         entry=entry if searches else entry[:0],
         **_for_searches(near, entry[: 0 if tabled or unknown else len(cells)], narrow),
         **_learning(unknown, problem.entry, cells, compact, narrow),
-        **luck_tables(_kinds(problem), cells),
-        **bearing_tables(bearing, len(problem.starts)),
-        **mover_tables(problem.world, compact, len(cells)),
+        **visit_tables(_kinds(problem), cells),
+        **failure_tables(failure_model, len(problem.starts)),
+        **moving_threat_tables(problem.world, compact, len(cells)),
         type_of=np.zeros(0, dtype=np.int64) if problem.own is None else problem.own.of,
         own_level=np.zeros((0, 0), dtype=np.int64) if problem.own is None else problem.own.level,
         **_clocks(problem.settings.paces),
@@ -233,7 +233,7 @@ def most_cost(near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray
     return most
 
 
-def mover_tables(world: World, compact: NDArray[np.int32], beyond: int) -> dict[str, Any]:
+def moving_threat_tables(world: World, compact: NDArray[np.int32], beyond: int) -> dict[str, Any]:
     """Fields of `Tables` for moving threats.
 
     Args:
@@ -290,7 +290,7 @@ def _kinds(problem: Problem) -> tuple[World, ...]:
     return kinds_of(problem.world, problem.settings.types, len(problem.starts))
 
 
-def luck_tables(kinds: tuple[World, ...], cells: NDArray[np.int64]) -> dict[str, Any]:
+def visit_tables(kinds: tuple[World, ...], cells: NDArray[np.int64]) -> dict[str, Any]:
     """Fields of `Tables` for failure sampling at visits.
 
     Args:
@@ -298,7 +298,7 @@ def luck_tables(kinds: tuple[World, ...], cells: NDArray[np.int64]) -> dict[str,
         cells: int64 `[A]`, the accessible cells.
     """
     if len(kinds) > 1:
-        tables = [luck_tables((kind,), cells) for kind in kinds]
+        tables = [visit_tables((kind,), cells) for kind in kinds]
         return tables[0] | {
             name: np.concatenate([of[name] for of in tables]) for name in ("exposure", "chance", "bound")
         }
@@ -320,16 +320,20 @@ def luck_tables(kinds: tuple[World, ...], cells: NDArray[np.int64]) -> dict[str,
     return drawn | {"own_counter": draws.counter[cells]}
 
 
-def bearing_tables(bearing: Bearing, robots: int) -> dict[str, Any]:
+def failure_tables(failure_model: FailureModel, robots: int) -> dict[str, Any]:
     """Fields of `Tables` for the failure model.
 
     Args:
         bearing: the failure model.
         robots: K.
     """
-    if bearing.is_even:
+    if failure_model.is_even:
         return dict.fromkeys(("nodes", "times", "begun"), np.zeros(0, dtype=np.int64))
-    return {"nodes": bearing.nodes, "times": bearing.times(robots).copy(), "begun": bearing.fresh_begun(robots)}
+    return {
+        "nodes": failure_model.nodes,
+        "times": failure_model.times(robots).copy(),
+        "begun": failure_model.exp1_begun(robots),
+    }
 
 
 def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: type) -> dict[str, Any]:
@@ -414,7 +418,7 @@ DOINGS = {"idle": IDLE, "traveling": TRAVELING, "covering": COVERING, "done": DO
 DOINGS |= {"returning": RETURNING}
 
 
-def set_back_to(mission: MissionState, state: State, tables: Tables, cells: NDArray[np.int64]) -> None:
+def write_mission_state(mission: MissionState, state: State, tables: Tables, cells: NDArray[np.int64]) -> None:
     """Write the mission into a state.
 
     Args:
@@ -564,8 +568,8 @@ def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables, *, i
     alive = range(len(problem.starts) + 1 if settings.risk_cap is not None else 0)
     is_own = RULES.get(rule.name) is not rule
     return Policy(
-        looks_again=rule.looks_again,
-        breaks_off=rule.breaks_off,
+        reevaluates=rule.reevaluates,
+        preempts=rule.preempts,
         looks_ahead=rule.looks_ahead,
         by_price=rule.by_price,
         limited=rule.limited and problem.theta < NO_REFUSAL,

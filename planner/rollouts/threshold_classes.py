@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.failure_model import key_of_luck, tolerances
+from planner.failure_model import threshold_key, tolerances
 from planner.simulator.codes import Outcome
 from planner.simulator.failure_sampling import threefry
 from planner.simulator.jit import program
@@ -47,7 +47,7 @@ def _multiply(key0, key1, first, robot_from, robot_to, words, products):  # type
                 strip[number] *= (words[number] + 0.5) * 2.0**-32
 
 
-def luck_classes(seed: int, start: int, count: int, robots: int) -> NDArray[np.int64]:
+def classes_by_threshold(seed: int, start: int, count: int, robots: int) -> NDArray[np.int64]:
     """Classes of rollouts: floor(CLASSES_A_NAT * total threshold of robots 0 .. robots - 1).
 
     A total is minus the logarithm of a product. Thresholds are rounded to whole units, by at most .52 of one. Floats
@@ -62,7 +62,7 @@ def luck_classes(seed: int, start: int, count: int, robots: int) -> NDArray[np.i
     Returns:
         int64 `[count]`.
     """
-    key0, key1 = (np.uint32(word) for word in key_of_luck(seed))
+    key0, key1 = (np.uint32(word) for word in threshold_key(seed))
     totals, products, words = np.zeros(count), np.empty(count), np.empty(STRIP, dtype=np.uint32)
     for robot in range(0, robots, FACTORS):
         _multiply(key0, key1, np.uint32(start), robot, min(robot + FACTORS, robots), words, products)
@@ -74,7 +74,7 @@ def luck_classes(seed: int, start: int, count: int, robots: int) -> NDArray[np.i
     return classes
 
 
-def sums_by_luck(results: RolloutResults, seed: int, robots: int) -> NDArray[np.int64]:
+def sums_by_threshold(results: RolloutResults, seed: int, robots: int) -> NDArray[np.int64]:
     """Sums over rollouts by class, as in `Tally.by_luck`.
 
     Args:
@@ -85,7 +85,7 @@ def sums_by_luck(results: RolloutResults, seed: int, robots: int) -> NDArray[np.
     Returns:
         int64 `[classes * len(COLUMNS)]`.
     """
-    classes = luck_classes(seed, results.start, len(results.visited), robots)
+    classes = classes_by_threshold(seed, results.start, len(results.visited), robots)
     sums = np.zeros((int(classes.max(initial=-1)) + 1, len(COLUMNS)), dtype=np.int64)
     figures = (results.visited, results.survived, results.time, results.alive, results.outcome)
     _add_figures(classes, *figures, int(Outcome.COMPLETE), sums)

@@ -20,7 +20,7 @@ from .paths import (
     set_out,
     walk_back,
 )
-from .range_budget import affords
+from .range_budget import is_within_range
 from .robot_types import hears, moves_until, own, own_level, own_turn
 from .state import (
     AREA_BITS,
@@ -140,7 +140,7 @@ def close(s, area):
 
 
 @kernel
-def unsettle(s):
+def compare_again(s):
     """Make every robot compare its area with others again: an area has come, or costs have changed."""
     s.marks.arrivals += 1
 
@@ -152,7 +152,7 @@ def reopen(s, area):
     put(s.open, area)
     s.marks.open += 1
     s.marks.changes += 1
-    unsettle(s)
+    compare_again(s)
     # `lowest` is updated only where that is cheap; else it is rebuilt when it is needed.
     if level < s.marks.lowest:
         make_lowest(s)
@@ -218,7 +218,7 @@ def affordable(t, s, w, robot, costs, area_costs, area_entries):
             cost = np.int64(costs[cell])
         better = cost >= 0 and (level < best_level or cost < best_cost)
         # The range is tested last: it follows the whole path.
-        if better and (not t.returns or affords(t, s, w, robot, cell)):
+        if better and (not t.returns or is_within_range(t, s, w, robot, cell)):
             best, best_level, best_cost, best_cell = np.int64(area), level, cost, cell
     return best, best_cell
 
@@ -558,7 +558,7 @@ def owner_to_share_with(t, s, w, helper, costs):
         better = (level, cost, area) < (best_level, best_cost, best_area)
         # Moves are counted along the path only if the cost does not decide.
         near = better and (cost <= left or is_within(t, s, w, helper, cell, left))  # a step costs 1 at least
-        if near and (not t.returns or affords(t, s, w, helper, cell)):
+        if near and (not t.returns or is_within_range(t, s, w, helper, cell)):
             best, best_level, best_cost, best_area = owner, level, cost, area
     return best
 

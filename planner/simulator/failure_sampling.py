@@ -16,7 +16,7 @@ from numba.extending import intrinsic, overload, register_jitable
 
 from .jit import UNCOUNTED, kernel, program, rare_kernel
 from .state import highest_bit
-from .thresholds import LOGARITHMS, MOST, log_units, threefry2x32, unworn
+from .thresholds import LOGARITHMS, MOST, exp1_hazard, log_units, threefry2x32
 
 # Several rollouts at a time are drawn for and sorted, in vector registers. LLVM vectorises a plain `threefry`, but then
 # each rollout is stored separately, and both together take twice as long.
@@ -29,7 +29,7 @@ BYTE, WORD, PLACE = ir.IntType(8), ir.IntType(32), ir.IntType(64)
 WORDS = ir.VectorType(WORD, GROUP)
 
 
-def part_lanes(ids, words, at, gone, keys, counter, limit, lanes):
+def split_lanes(ids, words, at, gone, keys, counter, limit, lanes):
     """Draw for `len(lanes)` rollouts and sort them: those in which the robot survives, and those in which it is lost.
 
     Args:
@@ -53,7 +53,7 @@ def part_lanes(ids, words, at, gone, keys, counter, limit, lanes):
     return count
 
 
-@overload(part_lanes)
+@overload(split_lanes)
 def _compiled_part_lanes(ids, words, at, gone, keys, counter, limit, lanes):
     def part(ids, words, at, gone, keys, counter, limit, lanes):
         return _part_lanes(ids, words, at, gone, keys, counter, limit, lanes)
@@ -147,7 +147,7 @@ def _put_each(builder: Any, some: Any, lost: Any, ids: Any, kept: Any, words: An
 
 
 register_jitable(**UNCOUNTED)(log_units)
-register_jitable(**UNCOUNTED)(unworn)
+register_jitable(**UNCOUNTED)(exp1_hazard)
 
 MANY, SOME = (0,) * (4 * GROUP), (0,) * GROUP
 """Lanes that keep a core busy, and the fewest that are worth a vector."""
@@ -181,7 +181,7 @@ def threefry(key0, key1, counter0, counter1):
 
 @kernel
 def tolerance(word):
-    """The failure threshold of one random word (`planner.simulator.thresholds.tolerance_of`)."""
+    """The failure threshold of one random word (`planner.simulator.thresholds.threshold_of`)."""
     odd = (np.int64(word) << 1) + 1
     return log_units(odd, highest_bit(np.uint64(odd)), LOGARITHMS)
 
@@ -218,11 +218,11 @@ def fresh(t, robot, exposure):
 
 @rare_kernel
 def _fresh(t, robot, exposure):
-    return unworn(exposure, t.nodes, t.times[robot]) - t.begun[robot]
+    return exp1_hazard(exposure, t.nodes, t.times[robot]) - t.begun[robot]
 
 
 @rare_kernel
-def mass_stopped(t, s, robot, place, mass):
+def lost_mass(t, s, robot, place, mass):
     """Mass of a tree's branch that a visit destroys, rounded; adds the visit to the robot's cumulative hazard."""
     if not t.wears:
         return np.int64(t.chance[place] * mass + 0.5)
@@ -233,7 +233,7 @@ def mass_stopped(t, s, robot, place, mass):
 
 
 @kernel
-def stopped_from(t, s, c, w, how, ids, robot, cell, place):
+def first_lost(t, s, c, w, how, ids, robot, cell, place):
     """Sort the ids of the group at a visit: rollouts in which the robot survives come first, both parts in order.
 
     The robot's random word in a rollout decides, against one limit for the whole group. No word is drawn while the
@@ -250,28 +250,28 @@ def stopped_from(t, s, c, w, how, ids, robot, cell, place):
         return first if t.loses(robot, s.marks.step, cell) else last
     if how.cut > 0:
         c.histories[2] += 1
-        return last - mass_stopped(t, s, robot, place, last - first)
+        return last - lost_mass(t, s, robot, place, last - first)
     # The state of an uncertain cell differs from rollout to rollout: no limit serves the whole group.
     if t.doubtful:
-        return part_in_doubt(t, ids, w, how, first, last, robot, cell)
+        return split_uncertain(t, ids, w, how, first, last, robot, cell)
     s.robots[robot].borne += t.exposure[place]
     borne = fresh(t, robot, s.robots[robot].borne)
     # Most visits end here, whatever the size of the group.
     if borne < s.robots[robot].bears:
         return last
-    return draw_group(s, w, how, ids, robot, borne)
+    return split_by_threshold(s, w, how, ids, robot, borne)
 
 
 @rare_kernel
-def draw_group(s, w, how, ids, robot, borne):
-    """`stopped_from` by the failure thresholds of the group."""
+def split_by_threshold(s, w, how, ids, robot, borne):
+    """`first_lost` by the failure thresholds of the group."""
     first, last = s.marks.first, s.marks.last
     if last - first == 1:
         # A single rollout has one threshold, so its word is drawn once for each robot.
         s.robots[robot].bears = tolerance(threefry(how.key0, how.key1, ids[first], np.uint32(robot))[0])
         return first if borne >= s.robots[robot].bears else last
     if last - first < GROUP:
-        lost_from, s.robots[robot].bears = part_few(ids, w.words, how, first, last, robot, borne)
+        lost_from, s.robots[robot].bears = split_few(ids, w.words, how, first, last, robot, borne)
         return lost_from
     # Survivors have a threshold above the hazard; their exact minimum is not worth computing for a large group.
     s.robots[robot].bears = borne + 1
@@ -283,11 +283,11 @@ def part(ids, words, how, first, last, counter, limit):
     """Sort `ids[first:last]` in place by whether their word reaches the limit; the position of the first that does."""
     if last - first == 1:
         return first if threefry(how.key0, how.key1, ids[first], counter)[0] >= limit else last
-    return first + part_many(ids[first:last], words[: last - first], how.key0, how.key1, counter, limit)
+    return first + split_many(ids[first:last], words[: last - first], how.key0, how.key1, counter, limit)
 
 
 @rare_kernel
-def part_few(ids, words, how, first, last, robot, borne):
+def split_few(ids, words, how, first, last, robot, borne):
     """The same by the robot's thresholds; and the lowest threshold of the rollouts in which it survives."""
     gone, least = 0, np.int64(MOST)
     for place in range(first, last):
@@ -301,7 +301,7 @@ def part_few(ids, words, how, first, last, robot, borne):
 
 
 @rare_kernel
-def part_many(ids, words, key0, key1, counter, limit):
+def split_many(ids, words, key0, key1, counter, limit):
     """The same for all of `ids` `[B]`; `words` `[B]` is scratch. Returns how many survive."""
     # Four vectors at a time hide the latency of Threefry's chain; one at a time handles most of the rest.
     at, gone = _part_by(ids, words, 0, 0, (key0, key1), counter, limit, MANY)
@@ -315,16 +315,16 @@ def part_many(ids, words, key0, key1, counter, limit):
 
 @kernel
 def _part_by(ids, words, at, gone, keys, counter, limit, lanes):
-    """`part_lanes` while enough rollouts are left; returns where it ends, and how many are lost by then."""
+    """`split_lanes` while enough rollouts are left; returns where it ends, and how many are lost by then."""
     while at + len(lanes) <= len(ids):
-        gone += part_lanes(ids, words, at, gone, keys, counter, limit, lanes)
+        gone += split_lanes(ids, words, at, gone, keys, counter, limit, lanes)
         at += len(lanes)
     return at, gone
 
 
 @rare_kernel
-def part_in_doubt(t, ids, w, how, first, last, robot, cell):
-    """`stopped_from` on an uncertain map: each rollout draws the cell too (`planner.world.uncertain_maps.Draws`).
+def split_uncertain(t, ids, w, how, first, last, robot, cell):
+    """`first_lost` on an uncertain map: each rollout draws the cell too (`planner.world.uncertain_maps.Draws`).
 
     The remaining threshold of each robot is kept for every rollout.
     """

@@ -13,7 +13,7 @@ from .codes import NONE
 from .jit import kernel, rare_kernel
 from .map_belief import is_lost
 from .paths import entry_of, go_on, list_to_do, next_leg, set_out, to_do_in
-from .return_home import can_be_remembered, charge, may_be_charged, remember, turn_home, turns
+from .return_home import cache_path, can_be_cached, charge, may_recharge, start_return, turns
 from .robot_types import drives_back
 from .state import (
     AREA_BITS,
@@ -50,9 +50,9 @@ def take_next_area(t, s, w, log, robot):
 
 
 @rare_kernel
-def would_be_charged(t, s, w, robot):
+def should_recharge(t, s, w, robot):
     """Whether the robot should recharge: it may, and an area is open to it if its range is ignored."""
-    if not may_be_charged(t, s, robot):
+    if not may_recharge(t, s, robot):
         return False
     # The search runs without the range limit; the flag is reset at once.
     s.marks.unlimited = 1
@@ -62,7 +62,7 @@ def would_be_charged(t, s, w, robot):
 
 
 @rare_kernel
-def settle(t, s, w, log, how, robot):
+def after_move(t, s, w, log, how, robot):
     """Decide at the end of a path or leg, or while waiting; all decisions fall in the same step.
 
     Returns:
@@ -85,7 +85,7 @@ def settle(t, s, w, log, how, robot):
                 return got
             robots[robot].doing = COVERING
             # Before the cells are marked: of a cached path only the last cell is marked as to do.
-            if can_be_remembered(s, w, robot) and remember(t, s, w, robot):
+            if can_be_cached(s, w, robot) and cache_path(t, s, w, robot):
                 return got
             list_to_do(s, robot)
         if doing not in (IDLE, DONE) and robots[robot].left > 0:
@@ -94,8 +94,8 @@ def settle(t, s, w, log, how, robot):
         if take_next_area(t, s, w, log, robot):
             got = 1
         elif doing in (IDLE, DONE):
-            if t.returns and would_be_charged(t, s, w, robot):
-                turn_home(t, s, w, log, robot, True)
+            if t.returns and should_recharge(t, s, w, robot):
+                start_return(t, s, w, log, robot, True)
             return got
         else:
             shared = share(t, s, w, log, robot)
@@ -103,8 +103,8 @@ def settle(t, s, w, log, how, robot):
                 return NONE
             if shared == 0:
                 robots[robot].doing = DONE
-                if t.returns and would_be_charged(t, s, w, robot):
-                    turn_home(t, s, w, log, robot, True)
+                if t.returns and should_recharge(t, s, w, robot):
+                    start_return(t, s, w, log, robot, True)
                 else:
                     waits(t, s, robot)
                 return got
@@ -114,8 +114,9 @@ def settle(t, s, w, log, how, robot):
 
 
 @rare_kernel
-def set_right(t, s, w, log, how, robot):
-    """After a map update: a robot with no cells left decides, one with a changed path replans. Returns as `settle`."""
+def repair_plan(t, s, w, log, how, robot):
+    """After a map update: a robot with no cells left decides, one with a changed path replans. Returns as
+    `after_move`."""
     me = s.robots[robot]
     area = np.int64(me.area)
     if s.areas[area].left == 0:
@@ -131,7 +132,7 @@ def set_right(t, s, w, log, how, robot):
         list_to_do(s, robot)
         next_leg(t, s, w, how, robot)
         return 0
-    return settle(t, s, w, log, how, robot)
+    return after_move(t, s, w, log, how, robot)
 
 
 @kernel
@@ -144,22 +145,22 @@ def act(t, s, w, log, how, robot):
             if not charge(t, s, log, robot, s.marks.step):
                 return RESTS
             me.doing, me.left = COVERING, 0  # decides like a robot that has covered its area
-            return settle(t, s, w, log, how, robot)
+            return after_move(t, s, w, log, how, robot)
         if s.marks.step > 0 and has_area(s.robots, robot):
             turn_kind = turns(t, s, robot, s.marks.step)
             if turn_kind > 0:
-                if not turn_home(t, s, w, log, robot, turn_kind > 1):
+                if not start_return(t, s, w, log, robot, turn_kind > 1):
                     return NO_ROOM
                 if me.doing != RETURNING:
                     return RESTS
     if (me.doing == IDLE or me.doing == DONE) and not drives_back(t, s, robot):
-        return settle(t, s, w, log, how, robot)
+        return after_move(t, s, w, log, how, robot)
     return MOVES
 
 
 @kernel
 def arrive(t, s, w, log, how, robot, cell):
-    """Continue after the robot entered the cell: it MOVES on along its path, or decides as `settle` does."""
+    """Continue after the robot entered the cell: it MOVES on along its path, or decides as `after_move` does."""
     me = s.robots[robot]
     if t.follows and me.doing == FOLLOWING:
         if s.marks.step < t.length[robot]:
@@ -179,4 +180,4 @@ def arrive(t, s, w, log, how, robot, cell):
         if me.left > 0:
             next_leg(t, s, w, how, robot)
             return MOVES
-    return settle(t, s, w, log, how, robot)
+    return after_move(t, s, w, log, how, robot)

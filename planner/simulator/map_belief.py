@@ -13,7 +13,7 @@ from .areas import SURPRISED_EVENT, close, has_area, note, reopen, room_of
 from .codes import ALWAYS, NEVER, NONE
 from .failure_sampling import own_word, threefry
 from .jit import kernel, rare_kernel
-from .range_budget import find_ways_home, moves_home
+from .range_budget import find_ways_to_base, moves_home
 from .robot_types import own
 from .state import (
     ALARM,
@@ -45,7 +45,7 @@ GONE, WHOLE, BROKEN, TOUCHED, OWNED = range(5)
 
 
 @rare_kernel
-def look_about(t, s, w):
+def sense_cells(t, s, w):
     """Update the map with the sensor range of live robots, from cells not looked from before.
 
     Returns:
@@ -104,16 +104,16 @@ def revise(t, s, w, log, count):
         if s.robots[robot].doing == RETURNING:
             head_home(t, s, robot)
     label_parts(t, s, w)
-    tell_fates(s)
-    if not take_out(t, s, w) or not take_in(t, s, w):
+    set_fates(s)
+    if not remove_changed(t, s, w) or not add_reachable(t, s, w):
         return False
-    lay_out(s)
+    rebuild_order(s)
     s.marks.changes += 1
     return True
 
 
 @kernel
-def forget_news(w, count):
+def clear_changes(w, count):
     """Clear the marks of changed cells after the repair."""
     for place in range(count):
         w.gone[w.news[place]] = 0
@@ -141,11 +141,11 @@ def recall(t, s, w):
                 w.row_of[w.source_of[row]] = w.source_of[row] = NONE
         w.last[0] = NONE
         if t.returns:
-            find_ways_home(t, s, w)
+            find_ways_to_base(t, s, w)
 
 
 @rare_kernel
-def take_over(t, s, w):
+def adopt_map(t, s, w):
     """Give the map of a group from another thread a new index; 0 is the prior map, which all threads share."""
     # Indices of maps are counted per thread, so another thread's index may be in use here for another map.
     if s.mind[BELIEF] > 0:
@@ -178,7 +178,7 @@ def label_parts(t, s, w):
 
 
 @kernel
-def tell_fates(s):
+def set_fates(s):
     """Set `State.fate` of every area; `root` of unassigned areas: no part of the map yet."""
     for area in range(s.marks.areas):
         s.fate[area], s.areas[area].root = WHOLE if holds(s.open, area) else GONE, 0
@@ -190,7 +190,7 @@ def tell_fates(s):
 
 
 @kernel
-def let_go(s, cell):
+def remove_from_area(s, cell):
     """Remove the cell from its area."""
     home, flags = s.home[cell], VISITED | SURVIVED
     # A visited cell keeps its flags, so that it still counts; an unvisited one may join an area later (OUT).
@@ -203,7 +203,7 @@ def let_go(s, cell):
 
 
 @kernel
-def take_out(t, s, w):
+def remove_changed(t, s, w):
     """Remove changed and unreachable cells from their areas; False: the area registry is full."""
     for cell in range(len(t.near)):
         fate = s.fate[s.home[cell] >> AREA_BITS]
@@ -215,7 +215,7 @@ def take_out(t, s, w):
             if w.gone[cell] or w.part[cell] != w.part[s.robots[robot].cell]:
                 if s.home[cell] & TO_DO and s.robots[robot].doing == COVERING:
                     s.robots[robot].left -= 1
-                let_go(s, cell)
+                remove_from_area(s, cell)
             continue
         area = s.home[cell] >> AREA_BITS
         if s.areas[area].root == 0:
@@ -225,18 +225,18 @@ def take_out(t, s, w):
     room = True
     for area in range(s.marks.areas):
         if room and s.fate[area] == BROKEN:
-            room = fall_apart(t, s, w, area)
+            room = split_area(t, s, w, area)
     return room
 
 
 @kernel
-def fall_apart(t, s, w, area):
+def split_area(t, s, w, area):
     """Split an unassigned area into the components of its remaining cells; the first keeps the id. False: full."""
     begin, end = s.areas[area].begin, s.areas[area].end
     for place in range(begin, end):
         cell = s.order[place]
         if s.home[cell] & VISITED or w.gone[cell] or w.part[cell] == 0:
-            let_go(s, cell)
+            remove_from_area(s, cell)
         else:
             s.home[cell] = area << AREA_BITS  # clears TO_DO of a robot that gave the area back
     w.stamp[0] += 1
@@ -298,7 +298,7 @@ def hold(s, w, area, count):
 
 
 @kernel
-def take_in(t, s, w):
+def add_reachable(t, s, w):
     """Add reachable unvisited cells in no area to adjacent unassigned areas, or to new ones; False: registry full."""
     w.stamp[0] += 1
     stamp = w.stamp[0]
@@ -359,7 +359,7 @@ def merge(s, area, into):
 
 
 @kernel
-def lay_out(s):
+def rebuild_order(s):
     """Rebuild `order`, the cells of every area increasing."""
     for area in range(s.marks.areas):
         s.areas[area].end = 0
@@ -410,7 +410,7 @@ def visit_of(t, s, robot, cell):
 
 
 @rare_kernel
-def foresee(t, s, w):
+def update_to_phase(t, s, w):
     """Update the map at the last step before a phase; the number of changed cells, which `w.news` lists."""
     next_step, count = s.marks.step + 1, 0
     phase = phase_at(t, next_step)
@@ -427,11 +427,11 @@ def foresee(t, s, w):
 
 
 @kernel
-def learns_of(t, s, w, how, ids):
+def update_map(t, s, w, how, ids):
     """Update the map by phases, sensor range or estimates: (changed cells, whether a cell was seen first)."""
     if t.phased:
-        return foresee(t, s, w), False
-    return look_about(t, s, w) if not t.estimates else (reckon(t, s, w, how, ids), False)
+        return update_to_phase(t, s, w), False
+    return sense_cells(t, s, w) if not t.estimates else (update_from_estimates(t, s, w, how, ids), False)
 
 
 @kernel
@@ -444,13 +444,13 @@ def add(s, cell, said):
 
 
 @rare_kernel
-def take_note(t, s, cell):
+def update_belief(t, s, cell):
     """Update the estimate after a robot survived a visit of the cell."""
     add(s, cell, -t.survival[cell])
 
 
 @rare_kernel
-def reckon(t, s, w, how, ids):
+def update_from_estimates(t, s, w, how, ids):
     """Update the map by the estimates at robots and in detector range; the number of changed cells, in `w.news`."""
     if s.marks.alive == 0:
         return 0
@@ -460,10 +460,10 @@ def reckon(t, s, w, how, ids):
             read(t, s, how, ids[s.marks.first], robot)
     for robot in range(len(s.robots)):
         here = np.int64(s.robots[robot].cell)
-        count = heed(t, s, w, here, count)
+        count = apply_estimate(t, s, w, here, count)
         if reads and s.robots[robot].doing != DEAD:
             for place in range(t.view_begin[here], t.view_begin[here + 1]):
-                count = heed(t, s, w, np.int64(t.in_view[place]), count)
+                count = apply_estimate(t, s, w, np.int64(t.in_view[place]), count)
     return count
 
 
@@ -482,7 +482,7 @@ def read(t, s, how, rollout, robot):
 
 
 @kernel
-def heed(t, s, w, cell, count):
+def apply_estimate(t, s, w, cell, count):
     """Set the level of a cell by its estimate; the number of changed cells by now."""
     return believe(t, s, w, cell, t.truths[class_of(t, s, cell), cell], count)
 

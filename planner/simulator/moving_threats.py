@@ -13,9 +13,9 @@ from .jit import kernel, rare_kernel
 from .state import (
     ACTS,
     DEAD,
+    GROUP_SPLITS,
     HIT,
     HITS,
-    PARTED,
     ROUTE,
     ROUTE_LENGTH,
     STAYS,
@@ -49,7 +49,7 @@ def moved(t, cell, number):
 
 
 @kernel
-def roam(t, s, w, how, ids, step):
+def move_threats(t, s, w, how, ids, step):
     """Move the threats in all rollouts of the group."""
     movers = len(t.movers)
     stays, where = w.moves[0], w.moves[1]
@@ -94,7 +94,7 @@ def first_met(t, s, w, how, rollout, step, after):
 
 
 @kernel
-def look_out(t, s, w, how, ids, first, last, after):
+def find_losses(t, s, w, how, ids, first, last, after):
     """Find the next robot above `after` that is lost in each of the rollouts `ids[first:last]`."""
     robots = s.robots
     # Downwards, so that the lowest robot of a cell is written last.
@@ -114,9 +114,9 @@ def meet(t, s, w, how, ids):
     marks = s.marks
     first, last = marks.first, marks.last
     if not is_meeting(s):
-        roam(t, s, w, how, ids, marks.step)
+        move_threats(t, s, w, how, ids, marks.step)
         marks.roamed = marks.step + 1
-        look_out(t, s, w, how, ids, first, last, np.int64(-1))
+        find_losses(t, s, w, how, ids, first, last, np.int64(-1))
     next_one = np.int64(len(s.robots))
     for place in range(first, last):
         next_one = min(next_one, np.int64(w.met[ids[place] - w.begin[0]]))
@@ -127,12 +127,12 @@ def meet(t, s, w, how, ids):
         # Robots are lost in index order, as in a loop over robots: rollouts that lose this one split off now.
         room[index] = w.met[mine[index] - w.begin[0]] != next_one
     lost_from = first + split_ids(mine, room, 1)
-    look_out(t, s, w, how, ids, lost_from, last, next_one)
+    find_losses(t, s, w, how, ids, lost_from, last, next_one)
     marks.robot = next_one
     if lost_from == first:
         return HIT
     marks.last = lost_from
-    return PARTED
+    return GROUP_SPLITS
 
 
 @kernel

@@ -10,7 +10,7 @@ from .jit import kernel, rare_kernel, search
 from .offers import Offer, is_dangerous, price
 from .paths import one_cell, row_from, seek, set_out
 from .policy import is_before, is_danger, offer_of, refuses
-from .range_budget import affords, moves_home
+from .range_budget import is_within_range, moves_home
 from .robot_types import hears, moves_until, own, own_level
 from .state import (
     AREA_BITS,
@@ -77,7 +77,7 @@ def is_too_far_from_home(t, p, s, w, robot, here, target, offer, refusing):
     """Whether a robot that returns to base skips an area: out of range, or refused with the way to base included."""
     if not t.returns:
         return False
-    if not affords(t, s, w, robot, target):
+    if not is_within_range(t, s, w, robot, target):
         return True
     if not refusing:
         return False
@@ -383,7 +383,7 @@ def has_to_wait(t, p, s, w, robot, area, cost):
     for other in range(len(s.robots)):
         # A robot that waits, or will wait without danger, and would accept a better offer has priority.
         rests = s.robots[other].doing == IDLE or holds(s.waiting, other)
-        if p.breaks_off and has_area(s.robots, other):
+        if p.preempts and has_area(s.robots, other):
             rests = not is_at_risk(t, p, s, other)
         if other != robot and rests:
             theirs, _, their_cost = first_of_idle(t, p, s, w, other)

@@ -45,8 +45,8 @@ class Policy(NamedTuple):
         key: None in compiled programs; the order of a rule that runs as Python only (`Rule.key`).
     """
 
-    looks_again: bool
-    breaks_off: bool
+    reevaluates: bool
+    preempts: bool
     looks_ahead: bool
     by_price: bool
     limited: bool
@@ -68,7 +68,7 @@ class Policy(NamedTuple):
 
 
 @rare_kernel
-def value_left(p, s, area):
+def unvisited_value(p, s, area):
     """Value of the unvisited cells of an area."""
     total = np.int64(0)
     for place in range(s.areas[area].begin, s.areas[area].end):
@@ -82,7 +82,7 @@ def value_left(p, s, area):
 def offer_of(t, p, s, robot, area, cost):
     """An area as an offer to the robot, with its target at this cost."""
     level, left = own_level(t, robot, s.areas[area].level), np.int64(s.areas[area].left)
-    value = value_left(p, s, area) if len(p.value) > 0 else left
+    value = unvisited_value(p, s, area) if len(p.value) > 0 else left
     shown = frontier(p, s, area) if len(p.view_begin) > 0 else np.int64(0)
     more = surcharge(t, p, s, robot, area) if t.mixed else np.int64(0)
     return Offer(level, np.int64(cost), left, p.entry[level], value, np.int64(p.beyond), shown, more)

@@ -23,7 +23,7 @@ def moves_home(t, robot, cell):
 
 
 @rare_kernel
-def find_ways_home(t, s, w):
+def find_ways_to_base(t, s, w):
     """Compute ways to base on the team's map, by Dijkstra's algorithm from the bases outwards.
 
     Cells are queued by cost to base plus own entry cost. In online missions each thread has its own tables.
@@ -67,7 +67,7 @@ def own_moves(t, s, robot):
 
 
 @rare_kernel
-def affords(t, s, w, robot, target):
+def is_within_range(t, s, w, robot, target):
     """Whether the robot can reach the cell and then return to base; without tables `costs_from` must come before."""
     way = moves_home(t, robot, target)
     # A cell that has no way to base does not bind the robot: it stays where its range ends.

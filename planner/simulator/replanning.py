@@ -28,7 +28,7 @@ from .next_area import first_area, first_of_idle, first_to_share, has_to_wait, h
 from .offers import is_dangerous
 from .paths import entry_of, go_on, list_to_do, next_leg, set_out
 from .policy import is_danger, offer_of
-from .return_home import charge, may_be_charged, turn_home, turns
+from .return_home import charge, may_recharge, start_return, turns
 from .robot_types import drives_back, hears
 from .state import (
     AREA_BITS,
@@ -69,7 +69,7 @@ def moves(t, s, robot):
 
 
 @kernel
-def settle_on(t, p, s, robot, area):
+def make_first_choice(t, p, s, robot, area):
     """Make the area the robot's first choice. An area of one cell stays so until another area becomes unassigned.
 
     A step of cost e towards the area lowers its cost by e, and that of others by at most e, and by less per cell where
@@ -77,7 +77,7 @@ def settle_on(t, p, s, robot, area):
     acceptable on the way.
     """
     # For a robot that returns to base the areas within range change with every step.
-    sure = p.by_price and not (p.limited or p.breaks_off or t.returns)
+    sure = p.by_price and not (p.limited or p.preempts or t.returns)
     stays_first = sure and len(p.value) == 0 and s.areas[area].left == 1
     s.robots[robot].sure = s.marks.arrivals if stays_first else NONE
 
@@ -86,16 +86,16 @@ def settle_on(t, p, s, robot, area):
 def take(t, p, s, w, log, robot, area, target):
     """Assign an area to a robot, which travels to `target` in it."""
     give(s, robot, area)
-    settle_on(t, p, s, robot, area)
+    make_first_choice(t, p, s, robot, area)
     moves(t, s, robot)
     head_for(t, s, w, robot, target)
     note(log, s, robot, ALLOCATED_EVENT, area, target)
 
 
 @rare_kernel
-def would_be_charged(t, p, s, w, robot):
+def should_recharge(t, p, s, w, robot):
     """Whether the robot should recharge: it may, and an area is open to it if its range is ignored."""
-    if not may_be_charged(t, s, robot):
+    if not may_recharge(t, s, robot):
         return False
     s.marks.unlimited = 1
     area, _, _ = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(True))
@@ -123,8 +123,8 @@ def share_or_rest(t, p, s, w, log, robot):
         if area != NONE:
             note(log, s, robot, REFUSED_EVENT, area, target)
     s.robots[robot].doing = DONE
-    if t.returns and would_be_charged(t, p, s, w, robot):
-        turn_home(t, s, w, log, robot, True)
+    if t.returns and should_recharge(t, p, s, w, robot):
+        start_return(t, s, w, log, robot, True)
     else:
         waits(t, s, robot)
     return 0
@@ -145,8 +145,8 @@ def allocate_next(t, p, s, w, log, robot, idle):
         area, target, cost = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(True))
     # A robot without an area shares once, when it becomes idle; only a held one tries again.
     if area == NONE and idle and not s.robots[robot].held:
-        if t.returns and would_be_charged(t, p, s, w, robot):
-            turn_home(t, s, w, log, robot, True)
+        if t.returns and should_recharge(t, p, s, w, robot):
+            start_return(t, s, w, log, robot, True)
         return 0
     if area == NONE:
         return share_or_rest(t, p, s, w, log, robot)
@@ -158,16 +158,16 @@ def allocate_next(t, p, s, w, log, robot, idle):
 
 
 @rare_kernel
-def look_again(t, p, s, w, log, robot):
+def reevaluate(t, p, s, w, log, robot):
     """Re-evaluate before danger: another area may be better, or none worth the risk. Returns as `share_or_rest`."""
     own = np.int64(s.robots[robot].area)
     if t.asks:
         area, target, cost = t.asks.area(t, s, w, robot, own)
     else:
         area, target, cost = first_area(t, p, s, w, robot, own, np.bool_(True))
-    waits = p.breaks_off and area != NONE and has_to_wait(t, p, s, w, robot, area, cost)
+    waits = p.preempts and area != NONE and has_to_wait(t, p, s, w, robot, area, cost)
     if area == own and not waits:
-        settle_on(t, p, s, robot, own)
+        make_first_choice(t, p, s, robot, own)
         return 0
     note(log, s, robot, LOOKED_AGAIN_EVENT, own, s.robots[robot].next)
     # Its own area becomes unassigned before it takes another: other robots compare it too.
@@ -200,9 +200,9 @@ def look_up(t, p, s, w, log, how, robot):
         return allocate_next(t, p, s, w, log, robot, np.bool_(False))
     me = robots[robot]
     # Without new unassigned areas (`arrivals`) an area once compared stays first, so nothing is compared again.
-    wary = p.looks_again and (p.breaks_off or me.doing == TRAVELING) and me.sure != s.marks.arrivals
+    wary = p.reevaluates and (p.preempts or me.doing == TRAVELING) and me.sure != s.marks.arrivals
     if wary and is_danger(t, p, s, robot, robots[robot].next) and hears(t, s, robot):
-        got = look_again(t, p, s, w, log, robot)
+        got = reevaluate(t, p, s, w, log, robot)
         if got != 0 or not has_area(robots, robot):
             return got
     # Another robot has visited the target: the path would end in a cell that is done.
@@ -280,7 +280,7 @@ def act(t, p, s, w, log, how, robot):
         return got
     if t.returns and step > 0:
         turn_kind = turns(t, s, robot, step) if has_area(s.robots, robot) else 0
-        if turn_kind > 0 and (got == NO_ROOM or not turn_home(t, s, w, log, robot, turn_kind > 1)):
+        if turn_kind > 0 and (got == NO_ROOM or not start_return(t, s, w, log, robot, turn_kind > 1)):
             return NO_ROOM
         if not holds(s.movers, robot) or me.doing == CHARGING:
             return got
@@ -288,7 +288,7 @@ def act(t, p, s, w, log, how, robot):
 
 
 @rare_kernel
-def set_right(t, p, s, w, log, how, robot):
+def repair_plan(t, p, s, w, log, how, robot):
     """After a map update: a robot with no cells left decides, one with a changed path replans."""
     if s.areas[s.robots[robot].area].left == 0:
         return allocate_next(t, p, s, w, log, robot, np.bool_(False))

@@ -46,7 +46,7 @@ def leave(t, s, w, log, robot, area):
 def stay(t, s, w, log, robot):
     """The robot is at the end of its range: it neither moves nor waits for an area. False: the registry is full."""
     if t.returns and moves_home(t, robot, np.int64(s.robots[robot].cell)) == 0:
-        return turn_home(t, s, w, log, robot, t.recharge > 0)
+        return start_return(t, s, w, log, robot, t.recharge > 0)
     area = np.int64(s.robots[robot].area) if has_area(s.robots, robot) else np.int64(NONE)
     drop(s.movers, robot)
     drop(s.waiting, robot)
@@ -94,13 +94,13 @@ def charge(t, s, log, robot, step):
 
 
 @kernel
-def may_be_charged(t, s, robot):
+def may_recharge(t, s, robot):
     """Whether a robot without an area can be recharged: there are unassigned areas, and it has used some range."""
     return t.recharge > 0 and s.marks.open > 0 and own_moves(t, s, robot) < t.range[robot]
 
 
 @rare_kernel
-def turn_home(t, s, w, log, robot, charges):
+def start_return(t, s, w, log, robot, charges):
     """The robot starts its return to base, for good unless it `charges` there. False: the area registry is full."""
     me = s.robots[robot]
     cell, owns, area = np.int64(me.cell), has_area(s.robots, robot), np.int64(me.area)
@@ -126,7 +126,7 @@ def turn_home(t, s, w, log, robot, charges):
 
 
 @rare_kernel
-def go_home(t, s, log, robot):
+def move_to_base(t, s, log, robot):
     """The robot has moved on its way to base: it has arrived, or the next cell is set, or its range has ended."""
     me = s.robots[robot]
     cell = np.int64(me.cell)
@@ -143,7 +143,7 @@ def go_home(t, s, log, robot):
 
 
 @rare_kernel
-def call_home(t, s, w, log, over):
+def start_returns(t, s, w, log, over):
     """Start returns at the end of a step: all robots if the mission is over, before that those that would be late.
 
     Args:
@@ -166,7 +166,7 @@ def call_home(t, s, w, log, over):
             drop(s.movers, robot)
             s.robots[robot].doing = DONE
         turned = not waits and (not holds(s.movers, robot) or doing in (RETURNING, CHARGING))
-        if not turned and (late or over != NONE) and not turn_home(t, s, w, log, robot, False):
+        if not turned and (late or over != NONE) and not start_return(t, s, w, log, robot, False):
             return False
     return True
 
@@ -181,7 +181,7 @@ def is_away(s):
 
 
 @rare_kernel
-def count_home(t, s):
+def count_at_base(t, s):
     """Count the robots alive at one of their bases, at the end of a run."""
     count = 0
     for robot in range(len(s.robots)):
@@ -204,13 +204,13 @@ MIX = np.uint64(0x9E3779B97F4A7C15)
 
 
 @kernel
-def can_be_remembered(s, w, robot):
+def can_be_cached(s, w, robot):
     """Whether the path over the unvisited cells of the robot's area is worth caching."""
     return len(w.paths) > 0 and s.areas[s.robots[robot].area].left >= FEWEST
 
 
 @rare_kernel
-def remember(t, s, w, robot):
+def cache_path(t, s, w, robot):
     """Begin to cover the area's unvisited cells along a cached path, made if needed; False: the cache is full."""
     me = s.robots[robot]
     here, area = np.int64(me.cell), np.int64(me.area)

@@ -17,15 +17,15 @@ from numba.extending import intrinsic, overload
 
 from .codes import NONE
 from .jit import kernel, program, rare_kernel, spliced
-from .map_belief import take_over
+from .map_belief import adopt_map
 from .state import (
     AREAS_FULL,
     CUT,
+    GROUP_SPLITS,
     HIT,
     MOST_PASSES,
     NOWHERE_LEVEL,
     OUT,
-    PARTED,
     PASSED,
     VISITED,
     WORD,
@@ -128,7 +128,7 @@ def count_passes(s, c, ids, singles):
 
 
 @kernel
-def count_set(t, s, c, ids, singles, outcome):
+def count_group(t, s, c, ids, singles, outcome):
     """Count a group at the end of its run.
 
     Args:
@@ -168,7 +168,7 @@ def begin_next(t, stack, waiting, tasks, taken, w):
     stack.marks[0] = waiting.marks[tasks[task, 0]]
     first.marks.first, first.marks.last = tasks[task, 1], tasks[task, 2]
     if t.learns:
-        take_over(t, first, w)
+        adopt_map(t, first, w)
     return True
 
 
@@ -187,9 +187,9 @@ def go_on_with(t, s, c, stack, level, ids, singles, how, top, last, found):
     Returns:
         (level, NONE if none goes on; topmost level in use).
     """
-    if found != PARTED:
+    if found != GROUP_SPLITS:
         if found != CUT:
-            count_set(t, s, c, ids, singles, found)
+            count_group(t, s, c, ids, singles, found)
         # Its ids are counted: the level is empty.
         s.marks.last = s.marks.first
         return (top - 1, top - 1) if how.aside == 0 else (NONE, top)
@@ -205,7 +205,7 @@ def go_on_with(t, s, c, stack, level, ids, singles, how, top, last, found):
 
 
 @program
-def run_set(t, p, c, waiting, tasks, taken, stack, w, log, how, ids, singles):
+def run_group_tasks(t, p, c, waiting, tasks, taken, stack, w, log, how, ids, singles):
     """Run rollouts, with a stack of states.
 
     Args:

@@ -104,7 +104,7 @@ IDLE, TRAVELING, COVERING, DONE, DEAD, FOLLOWING, RETURNING, CHARGING = map(int,
 LANDING, STARTING = range(len(Doing), len(Doing) + 2)
 """States of a robot that has not entered its start yet: without an area, and with one."""
 COMPLETE, ALL_ROBOTS_LOST, NO_PROGRESS, STEP_LIMIT, _, NOT_WORTH_THE_RISK, _, _ = map(int, Outcome)
-PARTED, CUT, AREAS_FULL = -2, -3, -4  # none of them is NONE
+GROUP_SPLITS, CUT, AREAS_FULL = -2, -3, -4  # none of them is NONE
 """Why `advance` returns before the end of a run: the group splits; all its mass is below the cut; no room for areas."""
 FAR = 2**63 - 1
 NO_LEVEL = 2**31 - 1
@@ -166,7 +166,7 @@ class Tables(NamedTuple):
             largest where the cell is uncertain. doses: int64 `[M, C]`, that of every probability in `Draws`.
         chance: float64 `[A]`, p; a tree splits by it.
         nodes, times, begun: the failure model where it is not Exp(1) for all (`planner.failure_model`), else empty:
-            `wear_nodes`; int64 `[K]`, hazard multipliers; int64 `[K]`, the Exp(1) hazard of earlier use.
+            `weibull_nodes`; int64 `[K]`, hazard multipliers; int64 `[K]`, the Exp(1) hazard of earlier use.
         movers: int64 `[M, MOVER_WORDS]`, moving threats, usually none (`planner.simulator.moving_threats`).
         routes: int64, the cells of their routes, one route after the other.
         type_of: int64 `[K]`, own_level: int64 `[Y, L]`, as in `planner.mrac.home_paths.OwnMaps`; empty for one robot
@@ -184,7 +184,7 @@ class Tables(NamedTuple):
         home_of: int64 `[K]`, the set of bases of each robot, of B sets. home_bases: bool `[B, A]`. home_steps: int32
             `[B, A]`, moves of the way to base from each cell, NONE where there is none. home_cost: int64 `[B, A]`, its
             cost. onward: like near `[B, A]`, its next cell; at a base that cell. Of the prior map
-            (`planner.simulator.range_budget.find_ways_home`). All empty where robots do not return to base
+            (`planner.simulator.range_budget.find_ways_to_base`). All empty where robots do not return to base
             (`planner.simulator.return_home`), except home_of and onward where robots drive back into radio range
             (`planner.simulator.robot_types`).
         follows .. phased: the features of a mission, None where it does not use one: no code of it is compiled
@@ -292,7 +292,7 @@ class How(NamedTuple):
         key0, key1: halves of the key of failure thresholds. own0, own1: of uncertain cells. move0, move1: of moves of
             threats. meet0, meet1: of encounters. read0, read1: of detector readings.
         max_steps: T_max. first_only: only the first visit of a cell is checked. stay_inside: legs stay in their area.
-        aside: 0, or the largest number of groups that the call defers (`planner.simulator.rollouts.run_set`).
+        aside: 0, or the largest number of groups that the call defers (`planner.simulator.rollouts.run_group_tasks`).
         cut: 0, or the mass below which a branch of a tree is left (`planner.rollouts.exact_tree`). most: its largest
             number of histories.
         pause, in_area: None in compiled programs. Of a rollout that runs as Python (`planner.rollouts.single_run`):
@@ -653,7 +653,7 @@ def make_state(first: State, levels: int) -> State:
     return State._make(np.empty((levels, *row.shape[1:]), dtype=row.dtype) for row in first)
 
 
-def largest_set(state: State, most: int) -> int:
+def largest_group(state: State, most: int) -> int:
     """Largest group, of at most `most` rollouts, that the stack of states can run.
 
     K + 1 levels serve a group of any size. With fewer levels a group may have no more rollouts than levels, since each

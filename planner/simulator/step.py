@@ -15,14 +15,14 @@ from __future__ import annotations
 import numpy as np
 
 from . import fixed_paths, replanning
-from .areas import has_area, note_leg, unsettle, write_frame
+from .areas import compare_again, has_area, note_leg, write_frame
 from .codes import NONE
 from .jit import kernel, rare_kernel
-from .map_belief import forget_news, learns_of, recall, revise, take_note
+from .map_belief import clear_changes, recall, revise, update_belief, update_map
 from .moving_threats import has_entered, is_meeting, meet
 from .next_area import could_go_on
 from .replanning import begin, is_news
-from .return_home import call_home, count_home, end_range, go_home, is_away, stay
+from .return_home import count_at_base, end_range, is_away, move_to_base, start_returns, stay
 from .robot_types import came_back, on_turn, own_turn
 from .solo import only_mover, walk_alone
 from .state import (
@@ -31,13 +31,13 @@ from .state import (
     AREAS_FULL,
     COMPLETE,
     GAINS,
+    GROUP_SPLITS,
     HIT,
     MOVES,
     NO_PROGRESS,
     NO_ROOM,
     NOT_WORTH_THE_RISK,
     ONE,
-    PARTED,
     PASSED,
     RESTS,
     RETURNING,
@@ -80,7 +80,7 @@ def advance(t, p, s, c, w, log, how, ids):
                         return outcome
                     word = 0
                 left = acting(t, p, s, word, NONE)
-            if verdict == PARTED:
+            if verdict == GROUP_SPLITS:
                 return verdict
             if verdict == HIT:
                 robot, word = np.int64(group.robot), word - 1
@@ -113,7 +113,7 @@ def advance(t, p, s, c, w, log, how, ids):
             verdict = ACTS
             if not lose(t, s, c, w, log, robot):
                 return AREAS_FULL
-            unsettle(s)  # prices may depend on the robots alive
+            compare_again(s)  # prices may depend on the robots alive
             left = np.uint64(0) if t.moving and is_meeting(s) else acting(t, p, s, word, robot % WORD)
             continue
         if verdict == PASSED:
@@ -121,7 +121,7 @@ def advance(t, p, s, c, w, log, how, ids):
             if not t.moving:  # else it survives at the end of the step
                 survive(s, c, cell)
                 if t.estimates:
-                    take_note(t, s, cell)
+                    update_belief(t, s, cell)
         if p is None:
             turn = arrive(t, p, s, w, log, how, robot, cell)
         else:
@@ -174,7 +174,7 @@ def arrive_called(t, p, s, w, log, how, robot, cell):
 def arrive(t, p, s, w, log, how, robot, cell):
     """Act on the cell that the robot entered and survived: MOVES on, or another result of a turn; NO_ROOM."""
     if t.returns and s.robots[robot].doing == RETURNING:
-        go_home(t, s, log, robot)
+        move_to_base(t, s, log, robot)
         return RESTS
     if t.radio and came_back(t, s, robot):
         return RESTS if end_range(t, s, w, log, robot) else NO_ROOM
@@ -229,7 +229,7 @@ def end_step(t, p, s, c, w, log, how, ids):
 @rare_kernel
 def call_back(t, p, s, w, log):
     """Send robots back to base that would be late, and all robots once the mission is over. False: no room."""
-    return call_home(t, s, w, log, over_by(t, p, s, w, np.int64(is_over(t, s))))
+    return start_returns(t, s, w, log, over_by(t, p, s, w, np.int64(is_over(t, s))))
 
 
 @kernel
@@ -246,21 +246,21 @@ def learn(t, p, s, w, log, how, ids):
 
     A map update is progress (SPEC section 15): robots without an area ask again in the next step.
     """
-    count, fresh = learns_of(t, s, w, how, ids)
+    count, fresh = update_map(t, s, w, how, ids)
     if p is not None and fresh and len(p.view_begin) > 0:
         s.marks.changes += 1  # areas would reveal fewer cells: cached offers are void
     if count == 0:
         return RESTS
     got = GAINS if revise(t, s, w, log, count) else NO_ROOM
-    unsettle(s)
+    compare_again(s)
     for robot in range(len(s.robots)):
         if got != NO_ROOM and has_area(s.robots, robot):
             if p is None:
-                more = fixed_paths.set_right(t, s, w, log, how, robot)
+                more = fixed_paths.repair_plan(t, s, w, log, how, robot)
             else:
-                more = replanning.set_right(t, p, s, w, log, how, robot)
+                more = replanning.repair_plan(t, p, s, w, log, how, robot)
             got = NO_ROOM if more == NO_ROOM else got
-    forget_news(w, count)
+    clear_changes(w, count)
     return got
 
 
@@ -304,5 +304,5 @@ def end_at_home(t, s, how):
         over = STEP_LIMIT if s.marks.step >= how.max_steps else NONE
     if over == NONE:
         return over
-    count_home(t, s)
+    count_at_base(t, s)
     return COMPLETE if is_complete(t, s) else over

@@ -30,7 +30,7 @@ LENGTHS = {
 """Row lengths of matrices, where they are constant: a row is found without loading the matrix's shape."""
 
 
-class Handed(types.Type):
+class StructPointer(types.Type):
     """Numba type of the address of a named tuple."""
 
     def __init__(self, of: Any) -> None:
@@ -43,9 +43,9 @@ def _follows(kind: types.Type) -> bool:
     return isinstance(kind, types.Array) and kind.layout == "C"
 
 
-@register_model(Handed)
+@register_model(StructPointer)
 class _Address(models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: Handed) -> None:
+    def __init__(self, manager: Any, kind: StructPointer) -> None:
         kept = []
         for field in kind.of.types:
             model = manager.lookup(field)
@@ -59,16 +59,16 @@ class _Address(models.PrimitiveModel):
 
 @infer_getattr
 class _Fields(AttributeTemplate):
-    key = Handed
+    key = StructPointer
 
-    def generic_resolve(self, kind: Handed, name: str) -> Any:
+    def generic_resolve(self, kind: StructPointer, name: str) -> Any:
         if name not in kind.of.fields:
             return None
         return kind.of.types[kind.of.fields.index(name)]
 
 
-@lower_getattr_generic(Handed)
-def _load_field(context: Any, builder: Any, kind: Handed, address: Any, name: str) -> Any:
+@lower_getattr_generic(StructPointer)
+def _load_field(context: Any, builder: Any, kind: StructPointer, address: Any, name: str) -> Any:
     place = kind.of.fields.index(name)
     field, stored = kind.of.types[place], cgutils.gep_inbounds(builder, address, 0, place)
     if not _follows(field):
@@ -98,7 +98,7 @@ def _array(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -
 def _hand(typing_context: Any, values: Any) -> Any:
     if isinstance(values, types.NoneType):
         return values(values), lambda context, builder, _signature, _args: context.get_dummy_value()
-    kind = Handed(values)
+    kind = StructPointer(values)
 
     def keep(context: Any, builder: Any, _signature: Any, args: Any) -> Any:
         # In the caller's stack frame, once: nothing to free, and valid until the caller returns.

@@ -86,7 +86,7 @@ def log_units(odd: Any, top: Any, logarithms: Any) -> Any:
     return ((33 - top) * _LN2 - (logarithms[i] + (q << 4)) + 2**25) >> 26
 
 
-def tolerance_of(word: ArrayLike) -> NDArray[np.int64]:
+def threshold_of(word: ArrayLike) -> NDArray[np.int64]:
     """Failure thresholds of random words: -ln((x + 1/2) / 2**32) in hazard units, decreasing in x.
 
     Args:
@@ -99,7 +99,7 @@ def tolerance_of(word: ArrayLike) -> NDArray[np.int64]:
     return log_units(odd, np.frexp(odd.astype(np.float64))[1].astype(np.int64) - 1, LOGARITHMS)
 
 
-def unworn(exposure: Any, nodes: NDArray[np.int64], times: Any) -> Any:
+def exp1_hazard(exposure: Any, nodes: NDArray[np.int64], times: Any) -> Any:
     """The largest Exp(1) threshold that a cumulative hazard reaches, under a Weibull shape and a hazard multiplier.
 
     0 if there is none. A robot is lost exactly if this value reaches the threshold that was drawn for it. Plain int64
@@ -107,7 +107,7 @@ def unworn(exposure: Any, nodes: NDArray[np.int64], times: Any) -> Any:
 
     Args:
         exposure: int64, cumulative hazard.
-        nodes: int64, of `wear_nodes`; empty for shape 1.
+        nodes: int64, of `weibull_nodes`; empty for shape 1.
         times: hazard multiplier in units of 1 / SCALE.
 
     Source: SPEC section 14.

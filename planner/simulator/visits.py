@@ -6,7 +6,7 @@ import numpy as np
 
 from .areas import COMPLETED_EVENT, HIT_EVENT, close, has_area, note
 from .codes import NONE
-from .failure_sampling import stopped_from
+from .failure_sampling import first_lost
 from .jit import kernel, rare_kernel
 from .map_belief import visit_of
 from .return_home import leave
@@ -20,9 +20,9 @@ from .state import (
     DEAD,
     FAR,
     FOLLOWING,
+    GROUP_SPLITS,
     HIT,
     MOST_COUNTED,
-    PARTED,
     PASSED,
     SURVIVED,
     VISITED,
@@ -128,7 +128,7 @@ def prune(t, s, c, how, cell, lost_from):
         leave_branch(s, c, rest, marks.alive)
         rest = 0
     if lost > 0 and rest > 0:
-        return PARTED
+        return GROUP_SPLITS
     marks.first = marks.last - lost - rest
     if lost == rest:
         return CUT
@@ -167,13 +167,13 @@ def enter(t, s, c, w, log, how, ids, robot, cell):
     elif survives and s.home[cell] & SURVIVED == 0:  # a robot of another type was lost there
         mark_survived(s, c, cell)
     if not safe and (fresh or not how.first_only) and not (t.spends and holds(s.spent, cell)):
-        lost_from = stopped_from(t, s, c, w, how, ids, robot, cell, place)
+        lost_from = first_lost(t, s, c, w, how, ids, robot, cell, place)
         # All rollouts lose the robot: still one run, so no state is copied.
         if lost_from == marks.first and how.aside == 0:
             verdict = HIT
         elif lost_from < marks.last:
-            verdict = PARTED if how.cut == 0 else prune(t, s, c, how, cell, lost_from)
-            if verdict == PARTED:
+            verdict = GROUP_SPLITS if how.cut == 0 else prune(t, s, c, how, cell, lost_from)
+            if verdict == GROUP_SPLITS:
                 marks.robot, marks.last, marks.progress = robot, lost_from, 1
     return verdict
 

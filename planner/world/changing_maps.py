@@ -13,7 +13,7 @@ from planner.arguments import Numbers, check_word
 from planner.errors import WorldError
 from planner.world.grid import Ground
 from planner.world.keys import CHANCE, Key
-from planner.world.levels import check_alone, find_levels
+from planner.world.levels import find_levels, require_single_uncertainty
 from planner.world.moving_threats import PLAN_ON, Foresight, Phases, check_phases
 from planner.world.robot_types import COMBINE
 from planner.world.threats import all_threats, raster_threat, raster_values
@@ -37,7 +37,7 @@ FIRST = PLAN_ON[0]
 
 def with_phases(world: World, phases: Sequence[tuple[Any, World | ArrayLike]], plan_on: Foresight = FIRST) -> World:
     """`World.with_phases`."""
-    check_alone(world, "phases")
+    require_single_uncertainty(world, "phases")
     check_word("plan_on", plan_on, PLAN_ON, WorldError, world.source)
     for number, pair in enumerate(phases):
         if not (isinstance(pair, tuple | list) and len(pair) == 2):
@@ -101,7 +101,7 @@ PRIOR_LAST = "; a prior is given after the maps"
 
 def with_hazard(world: World, kind: str, q: ArrayLike, h: ArrayLike = 1.0, learn: bool = False) -> World:
     """`World.with_latent_hazard`."""
-    check_alone(world, "latent_hazard", over=Hazard)
+    require_single_uncertainty(world, "latent_hazard", over=Hazard)
     if learn and kind == "independent":
         problem = "hazards drawn independently for every visit cannot be estimated"
         raise WorldError(problem, source=world.source, expected="persistent or consumed ones", fix="leave `learn` out")
@@ -112,7 +112,7 @@ def with_hazard(world: World, kind: str, q: ArrayLike, h: ArrayLike = 1.0, learn
 
 def with_maps(world: World, maps: Sequence[ArrayLike] | NDArray, plan_on: float | None = None) -> World:
     """`World.with_maps`."""
-    check_alone(world, "maps", Uncertain, PRIOR_LAST)
+    require_single_uncertainty(world, "maps", Uncertain, PRIOR_LAST)
     if len(maps) == 0:
         raise WorldError("uncertain maps is empty", source=world.source, expected="a map or more")
     checked = [World.create(one, source=f"{world.source}: maps[{place}]") for place, one in enumerate(maps)]
@@ -128,7 +128,7 @@ def with_maps(world: World, maps: Sequence[ArrayLike] | NDArray, plan_on: float 
 
 def with_spread(world: World, kind: str, amount: float, by: str = "common", plan_on: float | None = None) -> World:
     """`World.with_spread`."""
-    check_alone(world, "spread", or_else=PRIOR_LAST)
+    require_single_uncertainty(world, "spread", or_else=PRIOR_LAST)
     levels = find_levels(world, world.free, MOST_LEVELS).of_cell.reshape(world.shape)
     uncertain, cut = spread_of(world.threat, levels, kind, amount, by, world.source)
     notes = (f"the spread on p is cut off below 1 in {cut} cells: their mean is lower than the map's",) if cut else ()

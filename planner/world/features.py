@@ -15,9 +15,9 @@ from planner.arguments import check_word, whole
 from planner.errors import WorldError
 from planner.settings import Settings
 from planner.world.keys import CHANCE, PLACE, PROBABILITY, Key, read_yaml
-from planner.world.levels import check_alone
+from planner.world.levels import require_single_uncertainty
 from planner.world.map_knowledge import Sense, make_detector, make_knowledge, make_sense
-from planner.world.moving_threats import ANYWHERE, MOST_MOVERS, Mover, Movers, checked
+from planner.world.moving_threats import ANYWHERE, MOST_MOVERS, MovingThreat, MovingThreats, checked
 from planner.world.uncertain_maps import Hazard, Uncertain
 from planner.world.world import World, check_starts
 
@@ -140,7 +140,7 @@ def _sense(key: Key, more: tuple[str, ...]) -> Given:
     return {name: one.value for name, one in key.mapping(("range", *more), optional=("sight",)).items()}
 
 
-def as_it_is(world: World) -> World:
+def true_world(world: World) -> World:
     """The true map as a known map; unchanged if the map is known, or if the true map is drawn."""
     return replace(world, threat=world.met, knowledge=None)
 
@@ -186,16 +186,18 @@ THREATS = "threats"
 """Value of h for walkers that are the threats of the map."""
 
 
-def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_on: PlannedOn | None = None) -> World:
+def with_movers(
+    world: World, movers: Iterable[MovingThreat | Mapping[str, Any]], plan_on: PlannedOn | None = None
+) -> World:
     """`World.with_moving_threats`."""
     chosen = PATROLS if plan_on is None else plan_on
     check_word("plan_on", chosen, PLAN_ON, WorldError, world.source)
-    check_alone(world, "moving_threats")
-    members: list[Mover] = []
+    require_single_uncertainty(world, "moving_threats")
+    members: list[MovingThreat] = []
     own = world.threat
     for number, one in enumerate(movers):
         given = Key(one, f"moving_threats[{number}]", world.source, WorldError)
-        if isinstance(one, Mover):
+        if isinstance(one, MovingThreat):
             members.append(one)
         elif _is_of_the_map(given):
             members += _threats_that_walk(given, world)
@@ -205,11 +207,11 @@ def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_
             members += _read_each(given, world)
     # Without free walkers both defaults give the same map.
     by_default = plan_on is None and not all(one.patrols for one in members)
-    found = checked(Movers(own, tuple(members), by_default), world.source)
+    found = checked(MovingThreats(own, tuple(members), by_default), world.source)
     return _planned_on(replace(world, doubt=found), found, chosen)
 
 
-def _planned_on(world: World, movers: Movers, plan_on: PlannedOn) -> World:
+def _planned_on(world: World, movers: MovingThreats, plan_on: PlannedOn) -> World:
     told = [one for one in movers.members if plan_on == JOINED or (one.patrols and plan_on == PATROLS)]
     return replace(world, threat=movers.joined(told, world.source), doubt=movers)
 
@@ -250,16 +252,16 @@ def _is_of_the_map(key: Key) -> bool:
     return isinstance(key.value, dict) and isinstance(key.value.get("h"), str)
 
 
-def _threats_that_walk(key: Key, world: World) -> list[Mover]:
+def _threats_that_walk(key: Key, world: World) -> list[MovingThreat]:
     """A walker for each dangerous cell of the map, with its p as h."""
     keys = key.mapping(("walk", "h"))
     if keys["h"].value != THREATS:
         raise keys["h"].wrong(f"{CHANCE.expected}, or {THREATS}")
     stay = keys["walk"].number(CHANCE, STAYS)
-    return [Mover(float(p), stay) for p in world.threat[world.threat > 0]]
+    return [MovingThreat(float(p), stay) for p in world.threat[world.threat > 0]]
 
 
-def _read_each(key: Key, world: World) -> list[Mover]:
+def _read_each(key: Key, world: World) -> list[MovingThreat]:
     """A mover, repeated `count` times."""
     keys = key.mapping(("h",), optional=("walk", "patrol", "start", "count"))
     if ("walk" in keys) == ("patrol" in keys):
@@ -272,9 +274,9 @@ def _read_each(key: Key, world: World) -> list[Mover]:
         route = tuple(_cell(item, world) for item in keys["patrol"].items("a list of two cells [row, col] or more", 2))
     if "start" in keys and keys["start"].value != "anywhere":
         start = _cell(keys["start"], world)
-    one = Mover(keys["h"].number(CHANCE), stay, start, route)
+    one = MovingThreat(keys["h"].number(CHANCE), stay, start, route)
     with key.naming():
-        checked(Movers(world.threat, (one,)), world.source, named=False)
+        checked(MovingThreats(world.threat, (one,)), world.source, named=False)
     return [one] * (keys["count"].number(whole(1, MOST_MOVERS)) if "count" in keys else 1)
 
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import MapError
-from planner.files import foreign_errors
+from planner.files import library_errors
 from planner.world.map_knowledge import Knowledge
-from planner.world.moving_threats import Movers, Phases
+from planner.world.moving_threats import MovingThreats, Phases
 from planner.world.robot_types import RobotTypes
 from planner.world.uncertain_maps import Hazard, Uncertain
 
@@ -175,7 +175,7 @@ def reproject(points: ArrayLike, source: str, target: str, file: str = "") -> ND
 def no_way(source: object, target: str, file: str = "") -> AbstractContextManager[None]:
     """Context in which PROJ's errors about a transformation become MapErrors; `file`: for messages."""
     problem = f"no way from the CRS {str(source)[:60]!r} to {target[:60]!r}"
-    return foreign_errors(problem, file, "a CRS that PROJ knows, and places where it holds")
+    return library_errors(problem, file, "a CRS that PROJ knows, and places where it holds")
 
 
 def degree_sides(latitude: float) -> tuple[float, float]:
@@ -323,7 +323,7 @@ class Grid:
     georeference: Georeference | None = None
     value: NDArray[np.float64] | None = None
     detect: NDArray[np.float64] | None = None
-    doubt: Hazard | Uncertain | Movers | Phases | None = None
+    doubt: Hazard | Uncertain | MovingThreats | Phases | None = None
     knowledge: Knowledge | None = None
     measured: bool = True
     swath: float | None = None

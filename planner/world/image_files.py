@@ -13,7 +13,7 @@ from PIL import Image
 
 from planner.arguments import Numbers
 from planner.errors import MapError
-from planner.files import Json, check_file, foreign_errors
+from planner.files import Json, check_file, library_errors
 from planner.formatting import counted
 from planner.world.grid import FREE, OCCUPIED, TURN, UNKNOWN, Frame, Georeference, Grid, around
 from planner.world.keys import CELL_SIZE, COORDINATE, POSE, SHARE, Key, read_yaml
@@ -82,7 +82,7 @@ def read_image(path: Path) -> Picture:
         MapError: the file is missing, no image, truncated or too large.
     """
     check_file(path, "a map image")
-    with foreign_errors("cannot be read as an image", path, "a complete PNG, PGM, BMP, GIF or JPEG"):
+    with library_errors("cannot be read as an image", path, "a complete PNG, PGM, BMP, GIF or JPEG"):
         warnings.simplefilter("error", Image.DecompressionBombWarning)
         with Image.open(path, formats=FORMATS) as whole:
             plausible(whole.width * whole.height, path)

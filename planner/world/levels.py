@@ -230,7 +230,9 @@ def _breadth_first(free: NDArray[np.bool_], source: int, wanted: NDArray[np.bool
 # Features that exclude each other (SPEC sections 13, 15, 16, 22).
 
 
-def check_alone(world: World, what: str, over: type[Hazard | Uncertain] | None = None, or_else: str = "") -> None:
+def require_single_uncertainty(
+    world: World, what: str, over: type[Hazard | Uncertain] | None = None, or_else: str = ""
+) -> None:
     """Check that a feature is the only uncertainty of a world.
 
     Args:

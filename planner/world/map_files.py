@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planner.arguments import Numbers, argument, did_you_mean, whole
 from planner.errors import MapError
-from planner.files import Json, check_file, check_size, foreign_errors, read_json, why_no_file
+from planner.files import Json, check_file, check_size, library_errors, read_json, why_no_file
 from planner.formatting import counted
 from planner.mcap import MAGIC, Damaged, Descriptions, all_records, mapped, refusal
 from planner.world.grid import FREE, OCCUPIED, Frame, Grid
@@ -121,7 +121,7 @@ def read_logged_map(path: Path, topic: str | None = None, choose: str = "") -> R
     if taken not in grids:
         problem = f"holds no map on {taken}" + (f" ({others[taken]})" if taken in others else "")
         raise MapError(problem, source=path, expected=f"one of {maps}", fix=did_you_mean(taken, grids))
-    with foreign_errors(f"the map on {taken} is cut short", path, SCHEMA):
+    with library_errors(f"the map on {taken} is cut short", path, SCHEMA):
         found = _decode(grids[taken][1], path)
     if topic is None and len(grids) > 1:
         notes += (f"{taken} is used of the maps {maps}; {choose}".rstrip("; "),)

@@ -126,7 +126,7 @@ class Knowledge:
         """bool `[H, W]`: cells that are free on the true map."""
         return ~np.isnan(self.truth)
 
-    def may_be_blind(self, told: NDArray[np.bool_]) -> bool:
+    def safe_without_sensor(self, told: NDArray[np.bool_]) -> bool:
         """Whether robots without sensor are safe from collisions: the free cells `told` `[H, W]` are the true ones."""
         return bool((self.free == told).all())
 

@@ -28,7 +28,7 @@ BESIDE = [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
 
 
 @dataclass(frozen=True)
-class Mover:
+class MovingThreat:
     """A moving threat.
 
     Attributes:
@@ -54,7 +54,7 @@ class Mover:
 
 
 @dataclass(frozen=True, eq=False)
-class Movers:
+class MovingThreats:
     """All moving threats, and the map that they move on.
 
     Attributes:
@@ -63,7 +63,7 @@ class Movers:
     """
 
     own: NDArray[np.float32]
-    members: tuple[Mover, ...]
+    members: tuple[MovingThreat, ...]
     by_default: bool = False
 
     @property
@@ -83,7 +83,7 @@ class Movers:
         def at(cell: int) -> list[int]:
             return list(divmod(cell, self.own.shape[1]))
 
-        def kind(one: Mover) -> dict[str, Any]:
+        def kind(one: MovingThreat) -> dict[str, Any]:
             return {"patrol": [at(cell) for cell in one.route]} if one.patrols else {"walk": one.stay}
 
         return [
@@ -108,7 +108,7 @@ class Movers:
         # The stationary distribution of a random walk is proportional to the number of neighbours.
         return np.where(free, np.maximum(around, 1), 0)
 
-    def chances(self, mover: Mover) -> NDArray[np.float64]:
+    def chances(self, mover: MovingThreat) -> NDArray[np.float64]:
         """float64 `[H, W]`: long-run share of steps that a moving threat is in each cell."""
         if mover.patrols:
             often = np.bincount(mover.route, minlength=self.own.size)
@@ -119,7 +119,7 @@ class Movers:
             weight = np.where(parts == parts.flat[mover.start], weight, 0)
         return weight / weight.sum()
 
-    def joined(self, told: Iterable[Mover], source: str) -> NDArray[np.float32]:
+    def joined(self, told: Iterable[MovingThreat], source: str) -> NDArray[np.float32]:
         """p of a visit with moving threats at their long-run positions, float32 `[H, W]`.
 
         Args:
@@ -159,7 +159,7 @@ class Movers:
         )
 
 
-def movers_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source: str) -> Movers | None:
+def moving_threats_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source: str) -> MovingThreats | None:
     """The moving threats in the arrays of a world file, or None.
 
     Raises:
@@ -179,11 +179,11 @@ def movers_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source
     routes = np.split(given["routes"].astype(np.int64), np.cumsum(lengths)[:-1])
     hits, stays, starts = (given[name].tolist() for name in ("hit", "stay", "start"))
     ways = (tuple(route.tolist()) for route in routes)
-    members = tuple(map(Mover, hits, stays, starts, ways))
-    return checked(Movers(own, members), source)
+    members = tuple(map(MovingThreat, hits, stays, starts, ways))
+    return checked(MovingThreats(own, members), source)
 
 
-def checked(movers: Movers, source: str, *, named: bool = True) -> Movers:
+def checked(movers: MovingThreats, source: str, *, named: bool = True) -> MovingThreats:
     """The same moving threats, checked.
 
     Args:
@@ -207,7 +207,7 @@ def checked(movers: Movers, source: str, *, named: bool = True) -> Movers:
     return movers
 
 
-def _misplaced(movers: Movers, mover: Mover) -> tuple[str, str] | None:
+def _misplaced(movers: MovingThreats, mover: MovingThreat) -> tuple[str, str] | None:
     """(problem, expectation) if the position of a moving threat is invalid; else None."""
     shape, free = movers.own.shape, ~np.isnan(movers.own.ravel())
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import MapError
-from planner.files import foreign_errors
+from planner.files import library_errors
 from planner.formatting import counted
 from planner.world.grid import (
     TURN,
@@ -446,7 +446,7 @@ def read_band(path: Path, of: Meaning) -> Band:
     """
     rasterio = rasterio_for(f"reading {path.suffix}", path, fix=", or convert to .npy")
     driver = "AAIGrid" if path.suffix.lower() == ".asc" else "GTiff"
-    with foreign_errors("cannot be read as a raster", path, "GeoTIFF"), rasterio.open(path, driver=driver) as data:
+    with library_errors("cannot be read as a raster", path, "GeoTIFF"), rasterio.open(path, driver=driver) as data:
         plausible(data.width * data.height, path)
         if data.count != 1 or np.dtype(data.dtypes[0]).kind not in "fiu":
             problem = f"{data.count} bands of {data.dtypes[0]}"
@@ -544,7 +544,7 @@ def _crs_beside(path: Path, data: Any, rasterio: Any) -> Any:
     text = "" if data.transform.is_identity or path.suffix.lower() == ".asc" else _beside(path)
     if not text:
         return None
-    with foreign_errors("its .prj file cannot be read", path, "a CRS in WKT"):
+    with library_errors("its .prj file cannot be read", path, "a CRS in WKT"):
         return rasterio.crs.CRS.from_wkt(text, morph_from_esri_dialect=True)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import MapError
-from planner.files import Json, check_size, foreign_errors, printable, read_json
+from planner.files import Json, check_size, library_errors, printable, read_json
 from planner.world.grid import (
     FREE,
     HOW_TO_GIVE_ONE,
@@ -93,7 +93,7 @@ def read_vectors(path: Path, number: str) -> tuple[list[Json], str | None]:
     check_size(path, MOST_BYTES, MapError, KINDS[path.suffix.lower()])
     # GDAL would read an incomplete file as far as it goes, and polygons would be missing without an error.
     (_check_shapefile if path.suffix.lower() == ".shp" else _check_geopackage)(path)
-    with foreign_errors("cannot be read", path, KINDS[path.suffix.lower()]):
+    with library_errors("cannot be read", path, KINDS[path.suffix.lower()]):
         layer = _layer(pyogrio.list_layers(path), path)
         # Before GDAL reads the numbers, since it turns text into 0.
         _check_numbers(_stored(path, layer, number), number, path)
@@ -780,7 +780,7 @@ def _in_metres(shapes: Shapes, path: Path, cell_size: float) -> tuple[Unrolled, 
         )
     if crs == WGS84:
         return _degrees(polygons, path, cell_size)
-    with foreign_errors(f"its CRS is {crs[:60]!r}", path, "a CRS that PROJ knows, in degrees or metres"):
+    with library_errors(f"its CRS is {crs[:60]!r}", path, "a CRS that PROJ knows, in degrees or metres"):
         known = rasterio_for("another coordinate reference system", path).crs.CRS.from_user_input(crs)
         if known.is_geographic:
             check_range(corners, "", path)

@@ -23,7 +23,7 @@ from planner.formatting import TURNS, UNPACED, Pace, chance, html_of, pace_of, t
 from planner.world.grid import HOW_TO_GIVE_ONE, LONGEST, Frame, Georeference, principal
 from planner.world.keys import CELL_SIZE, COORDINATE, DETECT, POSE, SCALE, VALUE, checked_layer, first_of
 from planner.world.map_knowledge import Knowledge, knowledge_in
-from planner.world.moving_threats import Movers, Phases, movers_in, phases_in
+from planner.world.moving_threats import MovingThreats, Phases, moving_threats_in, phases_in
 from planner.world.robot_types import RobotTypes, Sources, types_in
 from planner.world.uncertain_maps import Draws, Hazard, Uncertain, doubt_in
 
@@ -83,7 +83,7 @@ class World:
     georeference: Georeference | None = None
     value: NDArray[np.float64] | None = None
     detect: NDArray[np.float64] | None = None
-    doubt: Hazard | Uncertain | Movers | Phases | None = None
+    doubt: Hazard | Uncertain | MovingThreats | Phases | None = None
     sources: Sources | None = None
     knowledge: Knowledge | None = None
     measured: bool = True
@@ -162,9 +162,9 @@ class World:
         return hashlib.sha256(np.ascontiguousarray(self.threat, dtype="<f4").tobytes()).hexdigest()
 
     @property
-    def movers(self) -> Movers | None:
+    def movers(self) -> MovingThreats | None:
         """Moving threats, or None."""
-        return self.doubt if isinstance(self.doubt, Movers) else None
+        return self.doubt if isinstance(self.doubt, MovingThreats) else None
 
     @property
     def phases(self) -> Phases | None:
@@ -196,12 +196,12 @@ class World:
         """(hazards, table): hazard of a visit to each cell, int64 `[N]` or by phase `[P N]`, the largest one if maps
         differ; and the table of all, int64 `[M, C]` (`Draws`).
         """
-        if self.doubt is None or isinstance(self.doubt, Movers | Phases):
+        if self.doubt is None or isinstance(self.doubt, MovingThreats | Phases):
             return exposure_of(self.by_phase).ravel(), np.zeros((0, 0), dtype=np.int64)
         return self.doubt.exposures()
 
     @property
-    def luck_sha256(self) -> str:
+    def randomness_sha256(self) -> str:
         """Hash of the true threats: map, uncertainty, movement, robot types, and the true map if it is not known."""
         of = self.draws or self.movers or self.phases
         drawn = "" if of is None else f"?{of.sha256}"
@@ -260,7 +260,7 @@ class World:
         looks = self.knowledge is not None and self.knowledge.sense.range > 0
         return looks or self.learned_hazard is not None
 
-    def check_settled(self, what: str, or_else: str = "") -> None:
+    def require_certain_map(self, what: str, or_else: str = "") -> None:
         """Check that the map is known, certain and the same for all robots.
 
         Args:
@@ -273,16 +273,17 @@ class World:
         if self.doubt is not None:
             # The message names the scenario key to leave out, which depends on the kind of uncertainty.
             problem = f"{what} requires one known map; here: {self.doubt.said}"
-            named = {Movers: "`moving_threats`", Phases: "`phases`"}.get(type(self.doubt))
+            named = {MovingThreats: "`moving_threats`", Phases: "`phases`"}.get(type(self.doubt))
             fix = f"leave {named or '`latent_hazard` and `map_uncertainty`'} out{or_else}"
             raise WorldError(problem, source=self.source, fix=fix)
-        self.check_told(what, or_else)
+        self.require_known_map(what, or_else)
         if self.types is not None:
             problem = f"{what} requires the same p for every robot; here: {self.types.said}"
             raise WorldError(problem, source=self.source, fix="leave `matrix` and `types` out" + or_else)
 
-    def check_told(self, what: str, or_else: str = "") -> None:
-        """Check that the map is known: robots neither update nor estimate it. Args and errors as in `check_settled`."""
+    def require_known_map(self, what: str, or_else: str = "") -> None:
+        """Check that the map is known: robots neither update nor estimate it. Args and errors as in
+        `require_certain_map`."""
         if self.learned_hazard is not None:
             problem = f"{what} does not support hazard estimates; here: {self.learned_hazard.said}"
             raise WorldError(problem, source=self.source, fix="leave `learn` out" + or_else)
@@ -295,7 +296,7 @@ class World:
                 problem, source=self.source, fix="leave `true_map`, `prior_map` and `sensor_range` out" + or_else
             )
 
-    def check_alike(self, what: str) -> None:
+    def require_uniform(self, what: str) -> None:
         """Check that all cells count the same: no values and no detection probabilities.
 
         Args:
@@ -676,7 +677,7 @@ def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
         world = replace(world, knowledge=knowledge_in({**arrays, "truth": truth}, world.threat, source))
     if "starts" in arrays:
         world = replace(world, starts=check_starts(arrays["starts"], world.met, source))
-    changing = movers_in(arrays, world.met, source) or phases_in(arrays, world.met, source)
+    changing = moving_threats_in(arrays, world.met, source) or phases_in(arrays, world.met, source)
     doubt, types = changing or doubt_in(arrays, world.met, source), types_in(arrays, world.free, source)
     world = replace(world, doubt=doubt, measured="cell_size" in arrays, types=types)
     return world.with_values(arrays.get("value"), arrays.get("detect"))

@@ -18,7 +18,7 @@ from analysis.comparison import Side, compare
 from analysis.evaluation.figures import Blocks, Output, Run
 from analysis.page.document import Chart, Series
 from analysis.search.pareto import Figures, Goal, Point, Setting, efficient, knee, quick_points, settings_of
-from analysis.statistics.estimates import Estimate, exactly, losses_said
+from analysis.statistics.estimates import Estimate, exactly, losses_sentence
 from analysis.statistics.variance_reduction import tally_mean
 from analysis.utils.tables import without_level
 from planner.arguments import COMMAND_LINE, argument
@@ -184,7 +184,7 @@ class Advice(Output):
     def _lost(self, losses: Estimate) -> str:
         if losses.mean == 0:
             return "no robot" if losses.ci95[1] == 0 else f"no robot in {self.rollouts:,} runs"
-        said = losses_said(losses, self.robots, mean_only=True)
+        said = losses_sentence(losses, self.robots, mean_only=True)
         return f"{said} on average" if said[0].isdigit() else said
 
 

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.estimators.racing import only, told_of_drawn, told_of_hazards, with_eyes
+from analysis.estimators.racing import only, sample_with_known_hazards, sample_with_known_maps, with_eyes
 from analysis.estimators.trial import Measured, Sampled, Trial, alike
 from analysis.evaluation.figures import Blocks, Output, Run
 from analysis.page.document import Chart, Series
-from analysis.statistics.estimates import Estimate, more_said
+from analysis.statistics.estimates import Estimate, difference_text
 from analysis.utils.tables import make_table
 from planner.arguments import argument, numbers_of
 from planner.errors import UsageError
@@ -117,7 +117,7 @@ class Knowledge(Output):
             or (isinstance(world.doubt, Uncertain) and not world.doubt.whole)
         ):
             return
-        blind = {0.0} if known.may_be_blind(world.free) else set()
+        blind = {0.0} if known.safe_without_sensor(world.free) else set()
         drawn = world.doubt is not None  # even with an unlimited range robots plan before they see
         ranges = sorted({*map(float, asked), *blind, known.sense.range, *([] if drawn else [inf])})
         done = run.last.tally.rollouts
@@ -131,7 +131,7 @@ class Knowledge(Output):
             trials.append(with_eyes(world, run.plan, far, choices))
         if drawn:
             run.doing("the same team, known map")
-            told, kept = told_of_drawn(world, run.plan, choices, count)
+            told, kept = sample_with_known_maps(world, run.plan, choices, count)
             found: Sequence[Measured] = [*(only(trial.sample(0, count), kept) for trial in trials), told]
         else:
             found = alike(trials, 0, count)
@@ -201,10 +201,12 @@ class Knowledge(Output):
     def _leads(self) -> Iterator[str]:
         learning, blind = self.learning, self.blind
         if learning is not self.told:
-            price = more_said(self.told.ahead(learning), "not knowing it costs", "robots that do not know it visit")
+            price = difference_text(
+                self.told.ahead(learning), "not knowing it costs", "robots that do not know it visit"
+            )
             yield f"With a known map robots visit {percent(self.told.coverage.mean)}: {price}."
         if blind is not None and blind is not learning:
-            worth = more_said(learning.ahead(blind), "the sensor gains", "robots with a sensor visit", "less")
+            worth = difference_text(learning.ahead(blind), "the sensor gains", "robots with a sensor visit", "less")
             yield f"Without a sensor robots visit {percent(blind.coverage.mean)}: {worth}."
         if steps := [
             f"{more.said(100, ' points')} from {near.range:g} to {far.range:g}" for near, far, more in self.steps
@@ -230,7 +232,7 @@ class Knowledge(Output):
 def _believed(world: World, plan: Plan) -> CellLayer:
     from analysis.page.maps import threat_layer
 
-    same = world.knowledge is not None and world.knowledge.may_be_blind(world.free)
+    same = world.knowledge is not None and world.knowledge.safe_without_sensor(world.free)
     dark = "The obstacles are known." if same else "Dark: true obstacles, which the prior map does not show."
     about = f"The probability that one visit destroys a robot, by the prior map. {dark}"
     threat, (rows, cols) = world.threat.copy(), plan.starts.T
@@ -293,7 +295,7 @@ class Experience(Output):
         blind = Trial(unaware, allocated_plan(unaware, plan.starts, plan.require(world)), choices).sample(0, count)
         learning = Trial(world, plan, choices).sample(0, count)
         run.doing("the same team, known hazards")
-        told = told_of_hazards(world, plan, choices, min(count, MOST_MAPS))
+        told = sample_with_known_hazards(world, plan, choices, min(count, MOST_MAPS))
         run.doing("the posterior at the end")
         loop, ends = compile_closed_loop(plan, world), min(count, MOST_ENDS)
         prior = np.where(world.free, hazard.q, np.nan).astype(np.float64).ravel()
@@ -360,8 +362,8 @@ class Experience(Output):
             )
         blind, told = (found.mean("visited", self._unit) for found in (self.blind, self.told))
         before, after = self.bits
-        price = more_said(self.price, "not knowing them costs", "robots that do not know them visit")
-        worth = more_said(self.worth, "learning gains", "robots that learn visit", "less")
+        price = difference_text(self.price, "not knowing them costs", "robots that do not know them visit")
+        worth = difference_text(self.worth, "learning gains", "robots that learn visit", "less")
         sure = "" if told.half_width == 0 else f" ({told.columns(100.0, 100)[1]}, 95 %)"
         leads = [
             f"Without learning robots visit {percent(blind.mean)}: {worth}.",

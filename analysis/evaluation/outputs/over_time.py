@@ -19,7 +19,7 @@ from analysis.estimators.trial import TreeTruth
 from analysis.evaluation.figures import Blocks, Figures, Output, Run, coverage_row, last_shown
 from analysis.page.document import Series
 from analysis.sampling import RolloutChoices, make_engine_for
-from analysis.statistics.estimates import QUANTILES, Estimate, mean_of, robots_words
+from analysis.statistics.estimates import QUANTILES, Estimate, mean_of, robots_text
 from analysis.theory.verdicts import MEANINGS, longest_run
 from analysis.utils.tables import make_table
 from planner.files import Json
@@ -146,7 +146,7 @@ def _stops(plan: Plan, robot: int, world: World, seed: int, ids: NDArray[np.uint
     steps = plan.robots[robot].entered
     # A robot is lost at the first entry where its cumulative hazard reaches its failure threshold.
     hazard = np.cumsum(world.exposures[0][plan.robots[robot].path[steps]])
-    thresholds = plan.bearing.tolerances(seed, ids, robot + 1)[:, robot]
+    thresholds = plan.failure_model.tolerances(seed, ids, robot + 1)[:, robot]
     return np.append(steps, NEVER)[np.searchsorted(hazard, thresholds, side="left")]
 
 
@@ -209,7 +209,7 @@ class Deadline(Output):
         found, cells = self.figures, self.tally.accessible
         mean, known = found.visited.mean.mean / cells, found.visited.mean.half_width == 0
         reached = percent(mean, 2) + " (exact)" if known else percent(mean)
-        lost = robots_words(found.losses.mean, self.tally.robots, found.losses.decimals) + " lost"
+        lost = robots_text(found.losses.mean, self.tally.robots, found.losses.decimals) + " lost"
         lost += " on average" * (found.losses.mean > 0)
         by = f"by step {self.steps}{self.pace.also(self.steps)}"
         return Blocks(

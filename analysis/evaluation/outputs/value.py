@@ -21,17 +21,17 @@ from analysis.estimators.trial import TreeTruth, mean_value, stated, units_of
 from analysis.evaluation.figures import Blocks, Output, Run
 from analysis.sampling import make_engine_for
 from analysis.statistics.estimates import TAIL, Estimate, at_least, exactly, in_unit, robots_left, tail_mean, times_to
-from analysis.statistics.variance_reduction import LEAST, CommonLuck, tally_mean
+from analysis.statistics.variance_reduction import LEAST, CommonThresholds, tally_mean
 from analysis.theory.exact import Worth, open_loop_found
 from analysis.theory.upper_bound import MOST_CELLS, trimmed, value_bound
 from analysis.utils.tables import make_table
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.files import Json
-from planner.formatting import at_least_words, percent
+from planner.formatting import at_least_text, percent
 from planner.rollouts.engine import run_ranges
 from planner.rollouts.exact_tree import Tree
-from planner.rollouts.threshold_classes import luck_classes
+from planner.rollouts.threshold_classes import classes_by_threshold
 from planner.simulator.state import MOST_PASSES
 from planner.tally import Tally
 from planner.world.world import World
@@ -190,7 +190,7 @@ def _common(value: ValueFigures) -> Rows:
         yield name, "no robot is lost" if ratio is None else amount(ratio), ""
     for robots, chance in enumerate(value.robots_left, 1):
         if robots in _shown(value.tally.robots):
-            yield _row(f"chance that {at_least_words(robots, value.tally.robots)} left", chance, chance=True)
+            yield _row(f"chance that {at_least_text(robots, value.tally.robots)} left", chance, chance=True)
     for share, step in times_to(value.tally).items():
         when = "never" if step is None else f"{step:,}{value.world.pace.also(step)}"
         yield f"steps to {100 * share:g} % of the cells, on average", when, ""
@@ -218,13 +218,13 @@ class Value(ValueFigures, Output):
 
     @classmethod
     def check(cls, asked: bool, world: World) -> None:
-        world.check_settled("the value covered and found", ", or `value`, `detect` and `route`")
+        world.require_certain_map("the value covered and found", ", or `value`, `detect` and `route`")
 
     @classmethod
     def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
         worth, tally, most = Worth.of(run.world), run.last.tally, None
         bounded = not run.choices.first_only and run.world.doubt is None and run.plan.state is None
-        bounded = bounded and run.plan.bearing.is_plain
+        bounded = bounded and run.plan.failure_model.is_plain
         if bounded and tally.accessible <= MOST_CELLS:
             most = value_bound(trimmed(run.world, run.plan), run.plan.starts)
         tree = run.closed if isinstance(run.closed, TreeTruth) else None
@@ -330,7 +330,7 @@ class Units:
         """The mean of units `[B]` of rollouts 0 .. B - 1, as a value; `seed`: of their failure thresholds."""
         count, controls = len(column), None
         if count >= LEAST:
-            controls = CommonLuck.of(robots, luck_classes(seed, 0, count, robots), column, column)
+            controls = CommonThresholds.of(robots, classes_by_threshold(seed, 0, count, robots), column, column)
         return mean_value(column, self.worth.total, len(self.covered), certain, controls)
 
 

@@ -127,7 +127,7 @@ class ThreatScale(Output):
 
     @classmethod
     def check(cls, asked: Sequence[float], world: World) -> None:
-        world.check_settled(argument("threat_scale"))
+        world.require_certain_map(argument("threat_scale"))
         for scale in asked:
             scaled_threats(world, scale)
 
@@ -190,7 +190,7 @@ def alike(plan: Plan) -> dict[str, Settings]:
 
 
 @dataclass(frozen=True, eq=False)
-class Mates(Output):
+class EqualRobots(Output):
     """The team, and the variants of it with equal robots, on the same rollouts."""
 
     team: Sampled
@@ -264,7 +264,7 @@ LEAST_MAPS, MOST_MAPS, EACH = 64, 1024, 16
 
 
 @dataclass(frozen=True, eq=False)
-class MapDoubt(Output):
+class MapVariance(Output):
     """Mean visited coverage by map, in fractions of the accessible cells.
 
     Attributes:

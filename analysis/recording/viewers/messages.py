@@ -33,7 +33,7 @@ from analysis.recording.frames import (
 from analysis.recording.viewers import topics
 from analysis.recording.viewers.topics import FRAME, Clock, Message, Place, Stage, occupancy_grid
 from planner.plan.plan import headings
-from planner.rollout_sampling import ways_of_movers
+from planner.rollout_sampling import threat_paths
 from planner.simulator.codes import NO_AREA, NO_ROBOT, NO_STEP, Doing
 from planner.tally import Trace
 from planner.world.image_files import FULL, NO_VALUE
@@ -447,7 +447,7 @@ class RolloutDrawer:
         self.frames: Frames = make_frames(trace, state)
         self.map = MapDrawer(world, accessible)
         self.robots = RobotDrawer(world, trace.cells, self.frames.alive)
-        self.moving = MovingThreatDrawer(world, ways_of_movers(world, stage.seed, trace.rollout, trace.time + 1))
+        self.moving = MovingThreatDrawer(world, threat_paths(world, stage.seed, trace.rollout, trace.time + 1))
         self.driven = PathLines(world, trace.cells.shape[1], "driven", DRIVEN_HEIGHT, 1.0, 2.0)
         self.cuts = self.frames.events_by_step()
         self.areas, self.open_areas = stage.area_maps(trace), 0
