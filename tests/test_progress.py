@@ -385,7 +385,8 @@ def options_of(command: str) -> set[str]:
     """The options of a command, as arguments of Python are named."""
     names = {name for one in app[command].assemble_argument_collection() for name in one.names}
     names = {name for name in names if name.startswith("--") and not name.startswith(("--no-", "--empty-"))}
-    return {f"{name[4:]}_b" if name[:4] == "--b." else name[2:].replace("-", "_") for name in names} - {"plan_b"}
+    names = {f"{name[4:]}_b" if name[:4] == "--b." else name[2:] for name in names}
+    return {name.replace("-", "_") for name in names} - {"plan_b"}
 
 
 def test_commands_and_functions_take_the_same_options() -> None:
