@@ -133,7 +133,7 @@ ByRobots = Annotated[NDArray[np.int64], "robots"]
 ByOutcome = Annotated[NDArray[np.int64], "outcome"]
 ByCell = Annotated[NDArray[np.int64], "cell"]
 ByPasses = Annotated[NDArray[np.int64], "cell and survived visits"]
-ByThreshold = Annotated[NDArray[np.int64], "class of luck and figure"]
+ByThreshold = Annotated[NDArray[np.int64], "class of the threshold sum and figure"]
 ByHome = Annotated[NDArray[np.int64], "robots at home"]
 """Counts int64 `[accessible + 1]`, `[T + 1]`, `[K + 1]`, `[len(Outcome)]`, `[N]`, `[N * P]` (P per cell), and sums.
 

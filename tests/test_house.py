@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ast
+import io
 import re
 import runpy
 import subprocess
 import sys
+import tokenize
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -304,6 +306,23 @@ def test_no_table_of_a_page_is_cut_by_an_empty_line() -> None:
             assert re.fullmatch(r"[|: -]+", table.splitlines()[1]), f"{path}: {table}"
 
 
+PRIVATE = re.compile(
+    r"(?<![\w`.,{-])(luck|nobody|somebody|whoever|everybody|anybody|put right|called off|gone on with|looks? again|"
+    r"breaks? off|as it stands|by itself|standings|susceptib\w+|the door|mended|dearer|foreign plan)(?![\w-])",
+    re.IGNORECASE,
+)
+"""Private words of release 0.3; CONTRIBUTING.md gives the standard terms."""
+
+
+def test_private_words_do_not_come_back() -> None:
+    texts = {str(path): path.read_text() for path in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]}
+    for path in (one for package in ("planner", "analysis", "mrac_jax") for one in (ROOT / package).rglob("*.py")):
+        tokens = tokenize.generate_tokens(io.StringIO(path.read_text()).readline)
+        kinds = (tokenize.COMMENT, tokenize.STRING)
+        texts[str(path)] = "\n".join(token.string for token in tokens if token.type in kinds and " " in token.string)
+    assert not [f"{path}: {found[1]}" for path, text in texts.items() for found in PRIVATE.finditer(text)]
+
+
 # `tests/evidence.py`: the table holds each result, stale results are named.
 
 GOOD = Evidence("3 passed, 9 deselected", 61, "2026-11-24", "abc1234")
@@ -389,6 +408,7 @@ def test_an_index_shows_no_link_that_it_cannot_follow(monkeypatch: pytest.Monkey
 
 WITHOUT_JAX = """
 import sys
+import tokenize
 from importlib.machinery import PathFinder
 find = PathFinder.find_spec
 PathFinder.find_spec = staticmethod(lambda name, *where: None if name.startswith("jax") else find(name, *where))

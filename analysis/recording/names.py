@@ -35,7 +35,7 @@ def left_over(growing: Path) -> UsageError:
 
 
 def how_to_clear(growing: Path) -> str:
-    """What can be done with a growing file that nobody writes any more."""
+    """The fix for a partial file that no process writes."""
     recover = f"recover it with `mrac-jax inspect --repair OUT {growing}` or " if growing.suffix == GROWING else ""
     return f"{recover}remove it"
 

@@ -35,7 +35,7 @@ def suite(given: Given) -> int:
         if not (name and found and folder):
             raise UsageError(f"--plans {text!r}", expected="NAME=FOLDER")
         if name in folders:
-            raise UsageError(f"--plans {text!r}: {name!r} is named twice", expected="a name of its own for each")
+            raise UsageError(f"--plans {text!r}: {name!r} is named twice", expected="a different name for each")
         folders[name] = folder
     if given.policy is None and given.actions is not None:
         raise UsageError(f"--actions {given.actions} without --policy", fix="add --policy, or leave it out")

@@ -491,7 +491,7 @@ class RobotNow:
 
     @property
     def turned(self) -> bool:
-        """True if the robot has started its return to base, which it never breaks off."""
+        """True if the robot has started its return to base, which it never aborts."""
         return self.number in self._run.turned
 
 

@@ -408,7 +408,7 @@ class World:
         return _elsewhere("planner.world.changing_maps:with_phases")(self, phases, plan_on)
 
     def with_moving_threats(self, threats: Iterable[Any], plan_on: str | None = None) -> World:
-        """The world with threats that move, beside its own.
+        """The world with moving threats in addition to its own.
 
         Args:
             threats: each with the keys of a scenario: `{"walk": 0.2, "h": 0.3, "count": 6}`, or
@@ -430,7 +430,7 @@ class World:
                 or arrays `[H, W]`.
             learn: robots learn from their visits; `with_sensor_range` also gives them detectors.
 
-        Raises WorldError for invalid probabilities, or beside other uncertainty or robot types.
+        Raises WorldError for invalid probabilities, or together with other uncertainty or robot types.
         """
         return _elsewhere("planner.world.changing_maps:with_hazard")(self, kind, q, h, learn)
 
@@ -438,7 +438,7 @@ class World:
         """The world with equally likely maps `[M, H, W]` of p, one of which is true in each run.
 
         `plan_on`: None: robots plan on the mean, cell by cell; 0.9: on the 90 % quantile. Raises WorldError for maps
-        with other obstacles or another shape, invalid probabilities, or beside other uncertainty or robot types.
+        with other obstacles or another shape, invalid probabilities, or together with other uncertainty or robot types.
         """
         return _elsewhere("planner.world.changing_maps:with_maps")(self, maps, plan_on)
 
@@ -450,7 +450,7 @@ class World:
             by: "common": one number for the whole map; "level": one for each of its threat levels, at most 16.
             plan_on: as in `with_maps`; the mean is the world's own threat.
 
-        Raises WorldError for invalid arguments, or beside other uncertainty or robot types.
+        Raises WorldError for invalid arguments, or together with other uncertainty or robot types.
         """
         return _elsewhere("planner.world.changing_maps:with_spread")(self, kind, amount, by, plan_on)
 

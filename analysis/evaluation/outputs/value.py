@@ -39,7 +39,7 @@ from planner.world.world import World
 if TYPE_CHECKING:
     from analysis.page.maps import CellLayer
 
-# Value covered, found and left, and the figures beside it, of every field (SPEC 13).
+# Value covered, found and left, and the measures of every field (SPEC section 13).
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +144,7 @@ class ValueFigures:
         }
 
 
-# The value output in words and as a table.
+# The value output as a sentence and as a table.
 
 
 def amount(value: float) -> str:
