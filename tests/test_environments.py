@@ -483,7 +483,7 @@ def test_what_cannot_be_is_refused_areas() -> None:
     for name, value in odd.items():
         apart = replace(world(), team=Team(settings={name: value}))
         for asked in ({}, {"actions": "areas"}):
-            with pytest.raises(mrac.InputError, match=f"seed1: the environment with {name}; leave {name} out"):
+            with pytest.raises(mrac.InputError, match=f"seed1: the environment with {name}; omit {name}"):
                 mrac.env(apart, 2, **asked)
             with pytest.raises(mrac.InputError, match=f"the environment with {name}"):
                 mrac.judge(apart, lambda seen: [0] * 2, 2, rollouts=2, **asked)

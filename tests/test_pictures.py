@@ -457,7 +457,7 @@ def test_layout_keeps_the_aspect_and_fits(shape: tuple[int, int]) -> None:
 
 def test_the_user_s_pyplot_is_left_alone() -> None:
     """It is never imported."""
-    code = "import sys; import analysis.pictures as p\nwith p.house_style(): p.png_bytes(p.new_figure((2, 2)))\n"
+    code = "import sys; import analysis.pictures as p\nwith p.picture_style(): p.png_bytes(p.new_figure((2, 2)))\n"
     code += "assert 'matplotlib.pyplot' not in sys.modules"
     run_python(code, options=("-W", "error"))
 

@@ -139,7 +139,7 @@ def test_recover_tells_what_is_lost(
     assert 1 <= len(kept) < 4
     assert kept == whole[: len(kept)]
     assert run(["inspect", str(saved)]) == 0
-    assert "not the whole log" in capsys.readouterr().out
+    assert "incomplete log" in capsys.readouterr().out
     assert run(["inspect", str(saved), "--replay"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert f"identical as far as it goes: {len(kept)} of 4 rollouts; the file is recovered" in said
@@ -259,7 +259,7 @@ def test_a_log_of_somebody_else_is_listed(tmp_path: Path, capsys: pytest.Capture
     assert run(["inspect", str(tmp_path / "other.mcap")]) == 0
     text = capsys.readouterr().out
     assert "/speed" in text
-    assert "no recording of mrac-jax" in text
+    assert "not a recording of mrac-jax" in text
     assert "settings.json" in refused(capsys, "inspect", str(tmp_path / "other.mcap"), "--replay")
 
 
@@ -336,7 +336,7 @@ def test_ctrl_c_while_recording_leaves_what_is_done(
     assert "survived, %" in done.stdout
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.layout.json", "run.mcap"]
     assert run(["inspect", str(out)]) == 0
-    assert "not the whole log: interrupted" in capsys.readouterr().out
+    assert "incomplete log: interrupted" in capsys.readouterr().out
     assert run(["inspect", str(out), "--replay"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "identical as far as it goes: 1 of 3 rollouts; the file is partial" in said

@@ -281,7 +281,7 @@ def test_a_full_disk_is_told(tmp_path: Path) -> None:
             log._stream = Path("/dev/full").open("wb")  # noqa: SIM115
             log.write(channel, 0, b"x" * 10_000)
         left = tmp_path / f"{number}.mcap.partial"
-        assert f"{left} holds what was written so far: recover it with `mrac-jax inspect --repair OUT {left}`" in str(
+        assert f"{left} holds the data written so far: recover it with `mrac-jax inspect --repair OUT {left}`" in str(
             caught.value
         )
         assert left.exists()

@@ -371,7 +371,7 @@ def test_the_settings_of_a_front_are_missions_that_end_at_home() -> None:
     ladders = Ladders(risk_caps=(), robot_values=(), landmarks=(0.5,))
     front = find_front(world, starts, settings, choices, ladders=ladders)
     ended = [point for point in front.points if point.setting.deadline is not None]
-    assert len(ended) == 2 and any("home" in note for note in front.notes)
+    assert len(ended) == 2 and any("base" in note for note in front.notes)
     for point in ended:
         plan = make_plan(world, starts, settings_of(settings, point.setting))
         tally, singles = run_range(compile_closed_loop(plan, world), 0, 0, 256, singles=True)

@@ -719,5 +719,5 @@ def test_the_command_says_it_as_json_and_writes_both_maps(
 
 
 def test_where_every_cell_is_a_start_there_is_nothing_to_threaten() -> None:
-    with pytest.raises(InputError, match="no cell that a robot can reach is left to threaten"):
+    with pytest.raises(InputError, match="no accessible cell is left for a threat"):
         mrac.threats(mrac.load(np.zeros((1, 2))), add=1, starts=[[0, 0], [0, 1]])

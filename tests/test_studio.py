@@ -409,7 +409,10 @@ def test_the_command_names_what_is_wrong(tmp_path: Path, capfd: pytest.CaptureFi
         port = taken.getsockname()[1]
         for words, said in (
             (["example:paper", "--port", "70000"], "--port 70000; expected a port"),
-            (["example:paper", "--port", str(port), "--out", str(tmp_path / "a.yaml")], f"--port {port} cannot be"),
+            (
+                ["example:paper", "--port", str(port), "--out", str(tmp_path / "a.yaml")],
+                f"--port {port} is not available",
+            ),
             (["example:paper", "--out", str(tmp_path / "a.txt")], "a.txt does not end in .yaml"),
             (["example:paper", "--out", str(tmp_path / "none" / "a.yaml")], "there is no folder"),
             ([str(tmp_path / "painted.yaml"), "--out", str(tmp_path / "painted.yaml")], "is an input"),

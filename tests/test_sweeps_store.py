@@ -332,7 +332,7 @@ def test_full_disk(tmp_path: Path) -> None:
     assert [line.split()[0] for line in lines] == ["20000", "60000", "90000"]
     for line in lines:
         room, done, words = line.split(" ", 2)
-        assert "cannot be written" in words and "make room" in words and int(done) < 20
+        assert "cannot be written" in words and "free disk space" in words and int(done) < 20
         with Store.open(tmp_path / f"{room}.db") as store:
             assert len(store) >= max(1, int(done))
             for case in cases[: max(1, int(done))]:

@@ -215,7 +215,7 @@ class RolloutPicture:
     """A rollout drawn at increasing steps: `show(step)`, then `pixels()`, or `figure` for a file."""
 
     def __init__(self, trace: Trace, stage: Stage, dpi: int) -> None:
-        """Draw the static parts, and step 0. For use within `plots_style.house_style()`.
+        """Draw the static parts, and step 0. For use within `analysis.pictures.picture_style()`.
 
         `dpi`: pixels per inch of the figure, which is `plots_style.WIDTH` inches wide.
         """
