@@ -79,16 +79,10 @@ def run(name: str) -> Evidence:
         ended = subprocess.run(words, cwd=ROOT, stdout=subprocess.PIPE, text=True, timeout=MOST, check=False)
         summary = (ended.stdout.strip().splitlines() or ["nothing"])[-1].strip("= ").split(" in ")[0]
         if ended.returncode:
-            tell(ended.stdout)
+            print(ended.stdout, flush=True)  # noqa: T201
     except subprocess.TimeoutExpired:
         summary = f"cut off after {MOST} s"
     return Evidence(summary, round(time.monotonic() - began), datetime.now(UTC).date().isoformat(), commit)
-
-
-def tell(text: str) -> None:
-    """Print a line without delay."""
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
 
 
 def main() -> int:
@@ -99,14 +93,14 @@ def main() -> int:
     asked = parser.parse_args()
     if asked.check:
         missing = stale(read(TABLE.read_text()))
-        tell("\n".join(missing) or "all slow tests passed on the present code")
+        print("\n".join(missing) or "all slow tests passed on the present code")  # noqa: T201
         return bool(missing)
     part, count = map(int, asked.part.split("/"))
     good = True
     for name in slow_files()[part - 1 :: count]:
         found = run(name)
         good &= found.passed
-        tell(f"{name}: {found.summary}, {found.seconds:.0f} s")
+        print(f"{name}: {found.summary}, {found.seconds:.0f} s", flush=True)  # noqa: T201
         TABLE.write_text(written(read(TABLE.read_text()) | {name: found}))
     return not good
 
