@@ -38,8 +38,8 @@ class InputError(MracError, ValueError):
     It is a `ValueError`, so code that wraps the `ValueError` of a library has to let an `InputError` pass first.
 
     Args:
-        problem: description of the error, with the offending value; or another error, for libraries that re-raise an error of
-            another process as `type(error)(error)`.
+        problem: description of the error, with the offending value; or another error, for libraries that re-raise an
+            error of another process as `type(error)(error)`.
         source: file, option or key of the value ("" if there is none).
         expected: accepted values ("" if the problem implies them).
         fix: the user's remedy ("" if the expectation implies it).
