@@ -721,7 +721,7 @@ def _judged(
         problem = f"evaluate has no argument {name!r} for a policy"
         raise UsageError(problem, expected=f"one of {', '.join(known)}", fix="give it to `evaluate` of a plan")
     if isinstance(plan, Plan | str | Path):
-        raise UsageError("both a plan and a policy", expected="one of them; beside a policy how many robots")
+        raise UsageError("both a plan and a policy", expected="one of them; with a policy, a number of robots")
     return judge(world, policy, plan, **given)
 
 

@@ -209,7 +209,7 @@ def _on_its_map(asked: Asked) -> tuple[Asked, Path | None]:
     source = named if named.startswith(EXAMPLE) else str(path.parent / named)
     if named.startswith(EXAMPLE) or not (problem := why_no_file(Path(source))):
         return replace(asked, source=source), path
-    raise PlanError(f"its map is not at {source!r}: {problem}", source=path, expected="the map beside it", fix=fix)
+    raise PlanError(f"its map is not at {source!r}: {problem}", source=path, expected="the map there", fix=fix)
 
 
 def check_team(asked: Asked, robots: int, file: Path) -> None:

@@ -238,7 +238,7 @@ class Settings:
         whole(0, MAX_STEP), unset="none", time=True, later=True, rare=False,
     )  # fmt: skip
     weibull_shape: float = _setting(
-        1.0, "Weibull shape", "Weibull shape of the failure threshold; above 1 robots wear out (default: 1).",
+        1.0, "Weibull shape", "Weibull shape of the failure threshold; above 1: risk grows with exposure (default: 1).",
         Numbers(LEAST_SHAPE, MOST_SHAPE), later=True,
     )  # fmt: skip
     hazard_multiplier: float | tuple[float, ...] = _setting(

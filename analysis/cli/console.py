@@ -116,7 +116,7 @@ def check_files(
         if suffix and out.suffix != suffix:
             raise UsageError(f"{out} does not end in {suffix}", expected=f"a {suffix} file")
         if out.resolve() in taken:
-            raise UsageError(f"{out} is an input, or is written twice", expected="a file of its own")
+            raise UsageError(f"{out} is an input, or is written twice", expected="another file")
         taken.append(out.resolve())
 
 
