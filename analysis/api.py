@@ -593,7 +593,7 @@ def judge(
 
     check_world(world)
     if not callable(policy):
-        raise UsageError(argument("policy", policy), expected="a function of what the robots observe")
+        raise UsageError(argument("policy", policy), expected="a function of the robots' observations")
     given: dict[str, Any] = {"starts": starts, "actions": actions, "view": view, "rule": rule, "offers": offers}
     env = of_jax("environment")(world, robots, **given, max_steps=max_steps)
     choices = RolloutChoices(rollouts=rollouts, seed=seed)

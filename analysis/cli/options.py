@@ -339,7 +339,7 @@ def of(name: str, **change: Any) -> Setting:
 
 THE_TEAM = "robots starts cell_size step_seconds speed turn"
 PLANNING = " ".join(name for name, setting in SETTINGS.items() if name != "deadline" and not setting.found)
-"""Settings of the planner for commands with rollouts, whose deadline is theirs."""
+"""Settings of the planner for commands with rollouts. A deadline is that of the rollouts."""
 WITHOUT_POLICY = " ".join(name for name in PLANNING.split() if name not in sum(GROUPS.values(), ()))
 TAKING_OVER = " ".join(name for name in PLANNING.split() if name not in GROUPS["plan_for"])
 ONE_PLAN = "loop rollouts precision deadline seed engine exact threat_checks"
