@@ -1,7 +1,7 @@
-"""The functions behind the door, `import mrac_jax as mrac`: plain arguments in, the house's answers out.
+"""The public Python functions, `import mrac_jax as mrac`: one function per task of the command line.
 
-Each does one of the everyday jobs and is documented for somebody who knows nothing of the rooms behind it. Coverage is
-a fraction of the accessible cells; cells are `[row, col]`, row 0 at the top; every error is an `InputError`.
+They take plain arguments and return the results of `analysis` and `planner`. Coverage is a fraction of the accessible
+cells. Cells are `[row, col]`, row 0 at the top. Every error is an `InputError`.
 """
 
 from __future__ import annotations
@@ -67,11 +67,11 @@ ThreatChecks = Literal["every_visit", "first_visit"]
 PlanSource = Plan | str | Path | int | None
 """A Plan, a plan file, the number of robots to plan for, or None: the world's own team."""
 ReturnTo = str | Sequence[Sequence[int]] | None
-"""Bases that robots return to: "home", "nearest", cells `[[row, col], ...]`, or none."""
+"""Bases that robots return to: "home", "nearest", cells `[[row, col], ...]`; None: robots do not return."""
 
 
 class PlannerOptions(TypedDict, total=False):
-    """Settings of `plan` that go with any policy."""
+    """Settings of `plan` that apply to every policy."""
 
     levels: int | None
     density: float | None
@@ -90,7 +90,7 @@ class PlannerOptions(TypedDict, total=False):
 
 
 class PolicyOptions(PlannerOptions, total=False):
-    """Settings of `plan` for robots that take over from each other."""
+    """Settings of `plan` for the closed loop, where survivors take over work."""
 
     policy: Policy | None
     risk_cap: float | None
@@ -113,7 +113,7 @@ class CallOptions(TypedDict, total=False):
 
 
 class RolledOptions(CallOptions, total=False):
-    """The rollouts besides their number."""
+    """Options of the rollouts, without their number."""
 
     seed: int
     deadline: int | str | None
@@ -123,7 +123,7 @@ class RolledOptions(CallOptions, total=False):
 
 
 class OnePlanOptions(RolledOptions, total=False):
-    """The rollouts of one plan."""
+    """Options of the rollouts of one plan."""
 
     loop: Loop | None
     rollouts: int | None
@@ -132,22 +132,22 @@ class OnePlanOptions(RolledOptions, total=False):
 
 
 class FrontOptions(PlannerOptions, RolledOptions, total=False):
-    """Of `front`, which chooses the policy itself."""
+    """Options of `front`, which varies the policy."""
 
 
 class SearchOptions(PolicyOptions, RolledOptions, total=False):
-    """Of `starts` and `threats`."""
+    """Options of `starts` and `threats`."""
 
 
 class SizeOptions(SearchOptions, total=False):
-    """Of `size`, which also plans for the open loop."""
+    """Options of `size`, which also plans for the open loop."""
 
     plan_for: PlanFor | None
     effort: int | None
 
 
 class RecordOptions(CallOptions, total=False):
-    """Of `record`."""
+    """Options of `record`."""
 
     loop: Loop | None
     seed: int
@@ -156,7 +156,7 @@ class RecordOptions(CallOptions, total=False):
 
 
 class MapsOptions(CallOptions, total=False):
-    """Work on many maps: processes, and a dask.distributed scheduler, its address or an open Client."""
+    """Options of work on many maps: processes, and a dask.distributed scheduler (its address or an open Client)."""
 
     processes: int | None
     scheduler: str | Client | None
@@ -168,16 +168,21 @@ OF_CALLS = {
     "on_interrupt": '"raise": Ctrl-C raises a KeyboardInterrupt with the answer so far as `partial`; "return": that '
     "answer is returned, `answer.partial` true.",
 }
-"""Help of the arguments that are no options of a command."""
+"""Help of the arguments that are not options of a command."""
 REPORTED = 'Also report coverage at this step or time, as 450 or "45min".'
 """Help of a deadline that does not end the mission."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def takes(options: type, **help: str) -> Callable[[Function], Function]:
-    """A decorator: the function's `**options` are these, each keyword-only and with its default; `help`: of some.
+    """A decorator that replaces `**options` by named keyword-only arguments with defaults.
 
-    The function is called with all of them. An argument that it does not have is an UnknownArgument.
+    Args:
+        options: the TypedDict of the arguments. The function receives all of them.
+        help: texts that replace the usual help of some arguments.
+
+    Raises:
+        UnknownArgument: on a call with another name.
     """
     default = {name: one.default for name, one in OPTIONS.items() if name not in SETTINGS} | {"on_interrupt": "raise"}
     more = {
@@ -207,11 +212,11 @@ def takes(options: type, **help: str) -> Callable[[Function], Function]:
 
 
 def _in_python(text: str) -> str:
-    """The help of an option, as it is said of an argument: `plan_for` for --plan-for."""
+    """The help of an option as the help of an argument: `plan_for` instead of --plan-for."""
     return re.sub(r"--([a-z][a-z-]+)", lambda found: f"`{found[1].replace('-', '_')}`", text)
 
 
-# Worlds and plans: what every other function is given.
+# Worlds and plans: the inputs of every other function.
 
 
 def load(
@@ -229,16 +234,17 @@ def load(
 
     Args:
         source: any INPUT of the command line ("depot.yaml", a scenario, "example:paper", ...), or an array `[H, W]` of
-            the chance that one visit stops a robot, NaN (or masked) = obstacle.
-        cell_size: side of a cell in metres; coarsens a map, and is what an array's cells measure (default 1).
-        step_seconds: that a step takes, or `speed`, metres a second: every time is said in minutes too, and deadlines
-            may be given so, as "45min" (in the place of what the source says).
-        turn: steps that a quarter turn costs: `evaluate` and `plan` say how long a mission takes with turns too.
-        value, detect: what each cell is worth, and the chance that a visit which the robot survives finds what is in
-            it: `[H, W]` or one number, in the place of what the source says (if that is nothing: 1 each).
-        route: `[row, col]` of the corners of the route that is to be safe.
+            the probability that one visit destroys a robot, NaN (or masked) = obstacle.
+        cell_size: side of a cell in metres. It coarsens a map; for an array it is the size of its cells (default 1).
+        step_seconds: seconds a step, or `speed`, metres a second: times are then also reported in minutes, and
+            deadlines may be times, as "45min". Both replace the values of the source.
+        turn: steps that a quarter turn costs: `evaluate` and `plan` also report the duration with turns.
+        value, detect: value of each cell, and probability that a visit which the robot survives detects its target:
+            `[H, W]` or one number. They replace the values of the source (default: 1 each).
+        route: `[row, col]` of the corners of the route to make safe.
 
-    A scenario's robots come along: `plan(world)` uses them. What loading did is in `world.notes`.
+    Returns:
+        The world. `plan(world)` uses the robots of a scenario. `world.notes` lists the changes made while loading.
     """
     if isinstance(source, str | Path):
         world = load_world(str(source), cell_size)
@@ -253,7 +259,7 @@ def load(
 
 
 def _say_if_large(world: World) -> None:
-    """Say before anything takes long that a map has many cells, where nobody said how large they are."""
+    """Print the note about a large map without a cell size before the work starts."""
     from planner.world.scenario import MANY_CELLS, ROBOT_IS
 
     if world.threat.size > MANY_CELLS:
@@ -273,16 +279,16 @@ def plan(
     """The plan of a team (Algorithms 1 to 3): its areas, and every robot's path without losses.
 
     Args:
-        robots: number of robots, placed by the world's start rule unless it has as many starts; default: its team,
-            else 1.
+        robots: number of robots, placed by the world's start rule unless it has as many starts (default: the world's
+            team, else 1).
         starts: their cells `[[row, col], ...]`, one per robot.
-        state: of a mission under way, or a file of it (a state, tracks, visited cells, a mask, an OccupancyGrid): the
-            plan of the rest. The robots are its own, or at `starts` where the file does not say where they are.
+        state: state of a mission under way, or its file (a state, tracks, visited cells, a mask, an OccupancyGrid).
+            The plan covers the rest. Its robots are those of the state, or at `starts` if the file has no positions.
         seconds: end the search of `plan_for="open_loop"` or `policy="best"` after this many seconds (10).
 
     A `policy` may also be a `planner.policies.rule.Rule`, or a function of an `Offer` that orders areas, least first;
     an `in_area` order a function of a `CellOffer`. Such a plan cannot be saved. "best" selects the policy with the
-    highest coverage of a dozen settings, on random numbers of its own, and then improves the order of the areas. In a
+    highest coverage of a dozen settings, on separate random numbers, and then improves the order of the areas. In a
     world with a step length a `deadline` may be a time, "45min".
     """
     from analysis.estimators.racing import BASE, plan_best
@@ -303,26 +309,26 @@ def plan(
 
 
 def settings_of(world: World, **given: Any) -> Settings:
-    """What is asked, by name, in the place of what the world came with. Raises InputError."""
+    """The settings of the world, with those in `given` replaced. Raises InputError."""
     asked = Choices(**{name: _of_tuples(name, value) for name, value in given.items()})
     return asked.settings(world.team.settings, world.pace, by=world.source)
 
 
 def _of_tuples(name: str, given: Any) -> Any:
-    """The value of a setting, where it is a list, of one a robot or of cells, as a tuple."""
+    """The value of a setting; a list (one value a robot, or cells) becomes a tuple."""
     if not isinstance(given, Iterable) or isinstance(given, str):
         return given
     return tuple(map(tuple, given)) if SETTINGS[name].places else tuple(given)
 
 
 def check_world(world: object) -> None:
-    """What is easily given instead: the name of an INPUT, an array."""
+    """Raise UsageError for an object that is not a World, such as the name of an INPUT or an array."""
     if not isinstance(world, World):
         raise UsageError(argument("world", world), expected="a World, as mrac_jax.load makes one")
 
 
 def plan_of(world: World, given: PlanSource) -> tuple[World, Plan]:
-    """A plan, the one in a file, or a new one (for so many robots); and the world that it is for (`read_plan_on`)."""
+    """The world and the plan of a PlanSource: the plan itself, one read from a file (`read_plan_on`), or a new one."""
     check_world(world)
     if isinstance(given, Plan):
         given.require(world)
@@ -352,11 +358,11 @@ def record(
     """Rollouts in full as an MCAP file, for Foxglove, Lichtblick and Rerun; read back with `read_rollouts`.
 
     Args:
-        plan: as of `evaluate`. path: of the file (.mcap); a layout for Foxglove and Lichtblick is written beside it.
+        plan: as of `evaluate`. path: the file (.mcap); a layout for Foxglove and Lichtblick is written next to it.
         ids: rollouts to record; or `pick`: some of `rollouts` evaluated ones, of "worst", "median", "best", ...
-            (default: those three). outcomes: keep what each of the `rollouts` came to (`read_outcomes`).
-        step_seconds: how long a step takes in the viewer; None: as long as the world says, or 1.
-        force: replace a recording or layout that is there already; without it that is an InputError.
+            (default: those three). outcomes: store the result of each of the `rollouts` (`read_outcomes`).
+        step_seconds: duration of a step in the viewer; None: the world's, or 1.
+        force: replace an existing recording or layout; without it an existing file is an InputError.
     """
     from analysis.recording.names import SUFFIX, check_name, layout_name
     from analysis.recording.record import Request, parse_picks
@@ -387,7 +393,7 @@ def record(
 def read_rollouts(path: str | Path) -> Iterator[RecordedRollout]:
     """The rollouts of a recording, one after the other; one is held at a time.
 
-    Of a partial or recovered recording, rollouts that are not all there are left out.
+    Incomplete rollouts of a partial or recovered recording are skipped.
     """
 
     from analysis.recording import contents as rollouts
@@ -419,7 +425,7 @@ def export(
         plan: as of `evaluate`. out: a file or a folder. to: the format; None: by the suffix of `out`.
         altitude: QGroundControl: metres above take-off (default 20), 0 for robots on the ground. speed: metres a
             second (default: as the world says, or 3).
-        force: replace files that are there already; without it that is an InputError, and nothing is written.
+        force: replace existing files; without it an existing file is an InputError, and nothing is written.
     """
     from analysis.exporting import choose_format, make_mission
     from analysis.exporting import export as write
@@ -428,7 +434,7 @@ def export(
     return write(make_mission(*plan_of(world, plan), altitude, speed), Path(out), form, force=force)
 
 
-# A mission that is driven.
+# Mission execution.
 
 
 def drive(
@@ -439,14 +445,14 @@ def drive(
     patience: int | None = PATIENCE,
     gain: float = 1.0,
 ) -> DrivenMission:
-    """A mission: it gives orders and takes reports, step by step, and resumes after a crash.
+    """A mission that gives orders and takes reports step by step, and resumes after a crash.
 
     Args:
-        plan: a Plan, a plan file, how many robots to plan for, or None: the world's own team.
-        state: where it stands: what `Mission.save` wrote, or anything that `plan` takes as a state.
-        patience: steps in which a robot that was to move did not, after which others get its work; None: any number.
-        gain: a robot leaves what it is under way to for work that became free, or a nearer cell of its area after it
-            was pushed, where that saves more than this share of the cost of its way; 1: it never does.
+        plan: a Plan, a plan file, the number of robots to plan for, or None: the world's own team.
+        state: the state to start from: a file of `Mission.save`, or any state that `plan` takes.
+        patience: steps without progress before a robot's work is reassigned. None: never.
+        gain: a robot changes its target, to work that became free or to a nearer cell of its area after a push, if
+            that saves more than this fraction of the cost of its path. 1: it never does.
     """
     from analysis.mission_protocol import DrivenMission
 
@@ -459,7 +465,7 @@ def drive(
     return DrivenMission(world, made, patience=patience, gain=gain)
 
 
-# Many maps: sweeps, the paper's experiments, what a store holds.
+# Many maps: sweeps, the paper's experiments, the results in a store.
 
 
 @takes(MapsOptions)
@@ -470,9 +476,11 @@ def sweep(
     precision: float | None = None,
     **options: Unpack[MapsOptions],
 ) -> Sweep:
-    """A sweep file run, on all cores, into a store that resumes (default: NAME.store in the current folder).
+    """Run a sweep file on all cores.
 
-    `precision`: add maps until every interval of mean coverage is within this of its mean.
+    Args:
+        store: file of the results; a run resumes from it (default: NAME.store in the current folder).
+        precision: add maps until the half-width of every interval of mean coverage is at most this.
     """
     from analysis.sweeps.spec import read_spec
     from analysis.sweeps.store import Store
@@ -499,10 +507,10 @@ def _where(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def results(store: str | Path, *, by: Sequence[str] = (), where: dict[str, Any] | None = None) -> Results:
-    """What a store holds, as rows: a mean over maps for each setting.
+    """The results in a store as rows: a mean over maps for each setting.
 
     Args:
-        by: labels that tell rows apart (default: all that vary). where: values wanted of labels, one or several each.
+        by: labels to group by (default: all that vary). where: values of labels to select, one or several each.
     """
     from analysis.sweeps.results import collect
     from analysis.sweeps.store import Store
@@ -529,10 +537,10 @@ def generate(
     robots: int | None = None,
     cell_size: float | None = None,
 ) -> World:
-    """A random world of the paper, or such threats on a map.
+    """A random world of the paper, or a map with random threats.
 
     Args:
-        map: an INPUT on whose free cells the threats are put; cell_size: of its cells in metres.
+        map: an INPUT whose free cells get the threats; cell_size: side of its cells in metres.
         kind: of the threats; areas: number of contiguous areas (10); levels: their p, in turn (0.04, ..., 0.20).
         size: "HxW" in cells ("20x20"); obstacles, ratio: fractions of obstacles and of dangerous cells (0.25 each).
         seed: of the world. robots: also place the starts of this many robots.
@@ -545,7 +553,7 @@ def generate(
     return replace(world, notes=(*world.notes, *notes))
 
 
-# Policies of one's own, and the worlds that they are played on.
+# User-defined policies, and the worlds to evaluate them on.
 
 
 def judge(
@@ -566,17 +574,18 @@ def judge(
     progress: ProgressCallback | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
 ) -> PolicyEvaluation:
-    """What is a policy of one's own worth: its coverage, and its score between a random walk and the proven bound.
+    """Evaluate a user-defined policy: its coverage, and its score between a random walk and the proven bound.
 
     Args:
-        policy: a function of what all robots observe, float32 `[K, 6, h, w]`, or of areas `[K, offers, 8]` (`env`),
-            that returns an action for each; of two arguments, then of a random key (a NumPy generator) of the rollout
-            too. Under `jax.jit` it runs inside the compiled rollouts, if its actions are moves.
-            It is asked for many rollouts in turn, and is to remember none.
+        policy: a function of the observations of all robots, float32 `[K, 6, h, w]`, or of areas `[K, offers, 8]`
+            (`env`), that returns one action per robot. A second argument receives a random key (a NumPy generator) of
+            the rollout. Under `jax.jit` it runs inside the compiled rollouts, if its actions are moves.
+            It must be stateless: calls of many rollouts alternate.
         robots, starts, actions, view, rule, offers, max_steps: as of `env`.
-        rollouts, seed: rollout r of the seed has the luck that it has in `evaluate`.
-        against: policies of the planner that are rolled out on the same random numbers, and ended at the same step.
-        processes: that ask a policy in Python; the figures are the same. None: one a core, where it can be imported.
+        rollouts, seed: rollout r of a seed uses the same random numbers as in `evaluate`.
+        against: policies of the planner to compare with: common random numbers, the same last step.
+        processes: number of processes that call a policy in Python; it changes no figure. None: one a core, if the
+            policy can be imported.
         progress, on_interrupt: as of `evaluate`.
     """
     from analysis.policy_evaluation.policy_evaluation import judge as judge_policy
@@ -584,7 +593,7 @@ def judge(
 
     check_world(world)
     if not callable(policy):
-        raise UsageError(argument("policy", policy), expected="a function of what the robots observe")
+        raise UsageError(argument("policy", policy), expected="a function of the robots' observations")
     given: dict[str, Any] = {"starts": starts, "actions": actions, "view": view, "rule": rule, "offers": offers}
     env = of_jax("environment")(world, robots, **given, max_steps=max_steps)
     choices = RolloutChoices(rollouts=rollouts, seed=seed)
@@ -596,7 +605,7 @@ def judge(
 
 
 def suite(only: str | Sequence[str] | None = None) -> Suite:
-    """Thirty named worlds, the same for ever, as a mapping from names to worlds; `.judge(policy)` plays them.
+    """Thirty fixed, named worlds as a mapping from names to worlds; `.judge(policy)` evaluates a policy on them.
 
     Args:
         only: names, or patterns as ``contiguous-10-*``; None: all.
@@ -606,7 +615,7 @@ def suite(only: str | Sequence[str] | None = None) -> Suite:
     return Suite(only)
 
 
-# What a plan comes to, what two differ by, and which formulas hold.
+# Evaluation of a plan, comparison of two plans, and checks of the formulas.
 
 
 @overload
@@ -637,33 +646,33 @@ def evaluate(
     on_interrupt: OnInterrupt = "raise",
     **asked: Any,
 ) -> Evaluation | PolicyEvaluation:
-    """How much of the world does the team cover, and how sure is that?
+    """Coverage of a plan, with confidence intervals.
 
     Args:
-        plan: a Plan, a plan file, how many robots to plan for, or None: the world's own team.
-        policy: instead of a plan, a function of what the robots observe: the answer is that of `judge`, whose arguments
-            are all that may stand beside it; `plan` is how many robots.
-        state: instead of that, of a mission under way, or its file: the rest of it is planned and rolled out.
-        loop: "closed": survivors take over; "open": every robot follows its path until it is stopped. None: open for
-            paths alone, else closed.
-        rollouts: how many; or `precision`: until the 95 % interval of mean coverage is within so much of it. Neither:
-            within 0.001 of it, a tenth of a point, and after 10 seconds of rolling out whatever it is.
-        seconds: of rolling out, after which it stops too.
-        exact: whether the closed loop's exact values, which small teams have, are looked for: "auto" for about 2 s,
-            "never", or for about so many seconds. The same work on every machine, so that no answer depends on it.
+        plan: a Plan, a plan file, the number of robots to plan for, or None: the world's own team.
+        policy: a function of the robots' observations instead of a plan. The call is then one of `judge`: it accepts
+            the arguments of `judge` only, and `plan` is the number of robots.
+        state: state of a mission under way, or its file, instead of a plan: the rest is planned and rolled out.
+        loop: "closed": survivors take over; "open": every robot follows its path until it is destroyed. None: open for
+            plans of paths only, else closed.
+        rollouts: their number; or `precision`: half-width of the 95 % interval of mean coverage to reach. Neither:
+            a half-width of 0.001, or 10 seconds of rollouts.
+        seconds: limit of the time for rollouts.
+        exact: search for the closed loop's exact values, which small teams have: "auto" for about 2 s, "never", or for
+            about this many seconds. The limit counts work, not time, so that no answer depends on the machine.
         engine: "auto" takes JAX where it has an accelerator, else Numba. seed: of the rollouts.
-        deadline: a step at which coverage is reported too; robots that come home know it, and are home by then.
+        deadline: a step at which coverage is also reported; robots that return to a base are there by then.
         threat_checks: "first_visit": only the first visit of a cell by any robot can destroy a robot.
-        threat_scale: also if all threats are so many times the map's.
-        sensor_range: also with sensors of these ranges, in cells, common random numbers; 0: no sensor.
-        bound: whether the bound for every strategy is worked out; None: on up to 500 accessible cells.
+        threat_scale: also evaluate with all threats multiplied by these factors.
+        sensor_range: also evaluate with sensors of these ranges, in cells, on common random numbers; 0: no sensor.
+        bound: compute the upper bound that holds for every strategy; None: on up to 500 accessible cells.
         band: also sample how coverage grows over time, for `plots`.
-        advice: also a quick front: what other settings cover and lose.
+        advice: also compute a quick front: coverage and losses of other settings.
         asked: any further output of `analysis.evaluation.outputs`, by its key.
-        progress: what is shown meanwhile. None: a bar on a terminal, a line in a notebook; True: lines on a pipe too;
-            False: nothing; or a function that is called with (done, total, seconds) after every chunk.
-        on_interrupt: "raise": Ctrl-C is raised as a KeyboardInterrupt that has what was done as `partial`; "return":
-            what was done is the answer, `answer.partial` true.
+        progress: None: a bar on a terminal, a line in a notebook; True: lines on a pipe too; False: none; or a
+            function called with (done, total, seconds) after every chunk.
+        on_interrupt: "raise": Ctrl-C raises a KeyboardInterrupt with the answer so far as `partial`; "return": that
+            answer is returned, `answer.partial` true.
     """
     if policy is not None:
         return _judged(**locals())
@@ -704,7 +713,7 @@ def _check_outputs(asked: Mapping[str, Any]) -> None:
 def _judged(
     world: World, plan: Any, policy: Callable[..., Any], asked: dict[str, Any], **rest: Any
 ) -> PolicyEvaluation:
-    """`evaluate` of a policy: what it was given, as `judge` takes it. Raises UsageError for what is for plans alone."""
+    """`evaluate` of a policy: a call of `judge`. Raises UsageError for arguments that only a plan has."""
     parameters = signature(evaluate).parameters
     given = asked | {name: value for name, value in rest.items() if value is not parameters[name].default}
     known = [name for name in signature(judge).parameters if name not in ("world", "policy", "robots")]
@@ -712,7 +721,7 @@ def _judged(
         problem = f"evaluate has no argument {name!r} for a policy"
         raise UsageError(problem, expected=f"one of {', '.join(known)}", fix="give it to `evaluate` of a plan")
     if isinstance(plan, Plan | str | Path):
-        raise UsageError("both a plan and a policy", expected="one of them; beside a policy how many robots")
+        raise UsageError("both a plan and a policy", expected="one of them; with a policy, a number of robots")
     return judge(world, policy, plan, **given)
 
 
@@ -732,10 +741,10 @@ def compare(
     """The difference between two plans, teams or maps, on common random numbers.
 
     Args:
-        a, b: a world and a plan for it: a Plan, a plan file, how many robots to plan for, or None, as of `evaluate`.
-        loop_b, threat_checks_b: of b, where they differ from a's.
+        a, b: a world and a plan for it: a Plan, a plan file, the number of robots, or None, as of `evaluate`.
+        loop_b, threat_checks_b: of b; None: as of a.
 
-    Without `rollouts` and `precision` (of the difference) it runs 100,000 rollouts, as far as 10 seconds go.
+    Without `rollouts` and `precision` (of the difference) it runs 100,000 rollouts, or fewer if 10 seconds are over.
     """
     from analysis.comparison import Side, make_side
     from analysis.comparison import compare as compare_sides
@@ -842,7 +851,7 @@ def _paper(
     return ask(work, options["progress"], options["on_interrupt"], "jobs")
 
 
-# The best of many: teams, trade-offs, starts, threats to remove or to fear.
+# Searches: team sizes, trade-offs, start positions, threats to remove or to add.
 
 Answered = TypeVar("Answered", bound=Found)
 
@@ -854,7 +863,7 @@ def _settings(world: World, options: Mapping[str, Any]) -> Settings:
 
 
 def _rollouts(options: Mapping[str, Any], **how: Any) -> RolloutChoices:
-    """The rollouts among the options; `how`: more of them. Raises UsageError."""
+    """The rollouts among the options; `how` replaces some. Raises UsageError."""
     given = {name: options[name] for name in ("seed", "engine", "deadline", "exact")}
     return RolloutChoices(first_only=_first_only(options), **{**given, **how})
 
@@ -866,7 +875,7 @@ def _first_only(options: Mapping[str, Any]) -> bool:
 
 
 def _ask(search: Callable[..., Answered], options: Mapping[str, Any]) -> Answered:
-    """The answer of a search that says how far it is."""
+    """The result of a search, with progress reports."""
     work = lambda tell, doing: search(progress=tell, doing=doing)  # noqa: E731
     return ask(work, options["progress"], options["on_interrupt"])
 
@@ -886,10 +895,10 @@ def size(
     precision: float | None = None,
     **options: Unpack[SizeOptions],
 ) -> TeamSize:
-    """The smallest team that covers `target` on average, or with the chance `confidence`; `complete`: every cell.
+    """The smallest team that covers `target` on average, or with probability `confidence`; `complete`: every cell.
 
     Args:
-        meaning: of "covered". most: robots to look at.
+        meaning: of "covered". most: largest team to try.
         starts: `[[row, col], ...]`, of which a team takes the first; default: the world's own, else its start rule.
         loop: as of `evaluate`. rollouts: of each team, at most (default: 100,000); or `precision`.
     """
@@ -920,13 +929,13 @@ def front(
     rollouts: int | None = None,
     **options: Unpack[FrontOptions],
 ) -> Front:
-    """What more coverage costs in robots: policies, missions ended early, reserves and worths on common random numbers.
+    """Coverage against losses: policies, early ends, risk caps and robot values on common random numbers.
 
     Args:
         robots, starts: the team, as of `plan`.
-        losses: pick the setting that covers most with at most so many robots lost on average; or `target`: the one
-            that loses the fewest with so much covered. `answer.picked` is it, `answer.plan_of(answer.picked)` its plan.
-        reserves, worths: to look at (default: as the map suggests).
+        losses: pick the setting with the highest coverage that loses at most this many robots on average; or `target`:
+            the one with the fewest losses that covers this much. `answer.plan_of(answer.picked)` is its plan.
+        risk_caps, robot_values: values to try (default: derived from the map).
         rollouts: of each setting, the same for all; None: 4,096, fewer above 2,048 accessible cells.
     """
     from analysis.search.pareto import Ladders, find_front, make_goal, usual_rollouts
@@ -955,9 +964,9 @@ def starts(
     """The best starts of a team, one each or (`depot`) one for all: `answer.starts`, `answer.world_with_starts`.
 
     Args:
-        robots: how many; default: as many as the world's own team.
+        robots: their number (default: that of the world's own team).
         candidates: "border", the safe cells on the border of the map; a mask `[H, W]`; or cells `[[row, col], ...]`.
-        rollouts: of the last two places that are left, the same for all.
+        rollouts: of each of the last two candidates.
     """
     from analysis.search.start_positions import find_starts, team_size
 
@@ -992,9 +1001,9 @@ def threats(
         add: number of new threats: `answer.known`, `answer.hidden`, and the worlds with them.
         unit: of `remove`: the connected "areas" of danger, or the "sources", the polygons, points and sites of a
             scenario's threats; None: sources where there are several.
-        p: of `add`: probability that a visit destroys a robot, beside the other threats (0.2).
+        p: of `add`: probability that a visit destroys a robot, in addition to the other threats (0.2).
         robots, starts: the team, as of `plan`.
-        rollouts: of the last two candidates, the same for all.
+        rollouts: of each of the last two candidates.
     """
     from analysis.search.threats import threats_search
 

@@ -1,4 +1,4 @@
-"""From what a user names on the command line to a world, a team and a plan."""
+"""Worlds, teams and plans from the INPUT and the options of a command line."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from planner.world.map_files import YAML
 from planner.world.world import EXAMPLE, World, check_starts
 
 REACHED = 0.5
-"""Share of the free cells up to which a note says how few can be reached."""
+"""A note reports the reachable fraction of the free cells if it is at most this."""
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A world with its team. `starts` is int64 `[K, 2]`; `settings` what a plan is to be made with."""
+    """A world with its team: `starts`, int64 `[K, 2]`, and the `settings` of its plan."""
 
     world: World
     starts: NDArray[np.int64]
@@ -55,10 +55,10 @@ def input_path(name: str) -> Path:
 
 
 def read_files(name: str | None, *others: Path | None) -> list[Path]:
-    """Files that are read: that of an INPUT, `others`, and what scenarios and ROS maps among them name."""
+    """Input files: that of an INPUT, `others`, and the files that scenarios and ROS maps among them name."""
     found = [*([input_path(name)] if name else []), *(one for one in others if one is not None)]
-    for file in found:  # which grows
-        with suppress(InputError):  # what is wrong with it is said when it is read
+    for file in found:  # the list grows in the loop
+        with suppress(InputError):  # the reader reports its errors later
             if file.suffix.lower() in YAML:
                 found += [one for one in named_files(read_yaml(file).value, file.parent) if one not in found]
     return found
@@ -74,13 +74,13 @@ def load_world(name: str, cell_size: float | None = None) -> World:
 
 @dataclass(frozen=True)
 class Asked:
-    """What somebody asks a plan for.
+    """A request for a plan: the input, the team and the settings.
 
     Attributes:
-        source: an INPUT. choices: the planner's settings that are given.
-        robots: how many. starts: where, "row,col;row,col;...". cell_size: of a bare map, in metres.
-        step_seconds, speed, turn: of `World.with_pace`.
-        sensor_range: cells that robots see which are not given the map.
+        source: an INPUT. choices: the planner's settings that the user gave.
+        robots: their number. starts: their cells, "row,col;row,col;...". cell_size: of a bare map, in metres.
+        step_seconds, speed, turn: as of `World.with_pace`.
+        sensor_range: sensor range in cells of robots without a known map.
     """
 
     source: str
@@ -100,7 +100,7 @@ class Asked:
 
 
 def load_task(asked: Asked) -> Task:
-    """The world, the robots' starts and the settings that an INPUT and the options ask for.
+    """The world, the robots' starts and the settings of an INPUT and the options.
 
     Robots come from `--starts`, else from the input's starts, else `--robots` (else the input's count, else 1) placed
     by the start rule. Raises InputError when they contradict each other.
@@ -128,7 +128,7 @@ def load_task(asked: Asked) -> Task:
 
 
 def _cut_off(world: World, starts: NDArray[np.int64]) -> tuple[str, ...]:
-    """A note where most of the map cannot be reached, as of a file that was never meant as a map."""
+    """A note if most of the map cannot be reached: the file may not be a map."""
     free, near = int(world.free.sum()), int(world.accessible(starts).sum())
     if near > REACHED * free:
         return ()
@@ -137,7 +137,7 @@ def _cut_off(world: World, starts: NDArray[np.int64]) -> tuple[str, ...]:
 
 
 def parse_starts(text: str) -> NDArray[np.int64]:
-    """`"r,c;r,c;..."` as int64 `[K, 2]`; raises UsageError naming the part that is no pair of whole numbers."""
+    """`"r,c;r,c;..."` as int64 `[K, 2]`; raises UsageError for a part that is not a pair of integers."""
     pairs = []
     for part in text.split(";"):
         try:
@@ -166,12 +166,11 @@ def load_or_make_plan(
     seconds: float | None = None,
     first: Callable[[World], None] | None = None,
 ) -> Found:
-    """The plan in `plan_file` or of the INPUT, or a new one; `doing` hears of it. Raises InputError.
+    """The plan in `plan_file`, that of the INPUT, or a new one. Raises InputError.
 
-    `find_best`: the search for the best policy (`analysis.estimators.racing.plan_best`). `seconds`: of it, or of the
-    search
-    for a plan for the open loop, at most. `state`: file of the mission that it is the rest of.
-    `first`: raises InputError for a world that is not to be planned for.
+    `find_best`: the search for the best policy (`analysis.estimators.racing.plan_best`). `seconds`: time limit of this
+    search, or of the search for an open-loop plan. `state`: state file of a mission; the plan covers its rest.
+    `first`: check of the world before planning; it raises InputError. `doing`: receives the name of the activity.
     """
     from planner.plan_team import plan_team
 
@@ -198,7 +197,7 @@ def load_or_make_plan(
 
 
 def _on_its_map(asked: Asked) -> tuple[Asked, Path | None]:
-    """Where a plan file is the INPUT: its map in the place of it, and the file. Raises PlanError where that is gone."""
+    """For a plan file as INPUT: the same with its map as source, and the file. Raises PlanError without the map."""
     path, expected = Path(asked.source), "a plan file (JSON) that names its map"
     data = read_json(path, MAX_PLAN_BYTES, PlanError, expected)
     if not isinstance(data, dict) or data.get("format") != FORMAT:
@@ -210,11 +209,11 @@ def _on_its_map(asked: Asked) -> tuple[Asked, Path | None]:
     source = named if named.startswith(EXAMPLE) else str(path.parent / named)
     if named.startswith(EXAMPLE) or not (problem := why_no_file(Path(source))):
         return replace(asked, source=source), path
-    raise PlanError(f"its map is not at {source!r}: {problem}", source=path, expected="the map beside it", fix=fix)
+    raise PlanError(f"its map is not at {source!r}: {problem}", source=path, expected="the map there", fix=fix)
 
 
 def check_team(asked: Asked, robots: int, file: Path) -> None:
-    """Raise UsageError for an option that asks for another number of robots than those of `file`."""
+    """Raise UsageError for an option with another number of robots than `file` has."""
     if asked.robots is not None and asked.robots != robots:
         problem = f"{argument('robots', asked.robots)} contradicts the {counted(robots, 'robot')} of {file}"
         raise UsageError(problem, fix="leave it out")
@@ -273,7 +272,7 @@ def _load_plan(asked: Asked, plan_file: Path) -> Found:
 
 
 def _other(world: World, plan: Plan, plan_file: Path) -> tuple[str, ...]:
-    """A note where the world's own team bears, or keeps to, something else than its plan was made for."""
+    """A note if the failure model or the limits of the world's team differ from those of its plan."""
     if plan.settings is None:
         return ()
     said = Choices().settings(world.team.settings, world.pace, by=world.source)
@@ -289,7 +288,7 @@ WITH_THE_PAPER = ("rollouts", "seed", "out", "json", "progress", "on_interrupt")
 
 
 def check_mode(given: Mapping[str, Any]) -> Literal["world", "worlds", "paper"]:
-    """What `check` is asked to check; `given`: its arguments by name. Raises UsageError for what contradicts that."""
+    """The mode of `check`; `given`: its arguments by name. Raises UsageError for arguments of another mode."""
     modes = [name for name in ("world", "worlds", "paper") if given.get(name) is not None]
     words = {"world": "an INPUT" if COMMAND_LINE.get() else "a world", "worlds": argument("worlds")}
     words |= {"paper": argument("paper")}
@@ -326,7 +325,7 @@ def generate_world(
     robots: int | None,
     cell_size: float | None = None,
 ) -> tuple[World, tuple[str, ...]]:
-    """(world, notes): a random world of SPEC section 8, or such threats on the free cells of the INPUT `on`."""
+    """(world, notes): a random world of SPEC section 8, or the INPUT `on` with random threats on its free cells."""
     from planner.world.generate import PAPER_LEVELS, ThreatPattern, check_pattern, random_threats, random_world
     from planner.world.levels import check_robots, place_starts
     from planner.world.robot_types import independent
@@ -372,7 +371,7 @@ def generate_world(
 
 
 def _left_out(world: World, robots: int | None) -> tuple[str, ...]:
-    """A note that names the keys of an input that its map keeps, and a world file does not."""
+    """A note that names the keys of an input that a world file does not keep."""
     team, pace = world.team, world.pace
     keys = ["robots.count"] * (team.robots is not None and robots is None) + list(team.settings)
     keys += [name for name, given in (("step", pace.seconds), ("turn", pace.turn)) if given]

@@ -1,4 +1,4 @@
-"""What to roll out, how much of it, and the loop that does it, as tallies or rollout by rollout."""
+"""Choices of the rollouts, and the loop that runs them: as tallies or rollout by rollout."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from planner.rollouts.tables import AllPairs
 
 PRECISION = 0.001
-"""Half the width of the 95 % interval of mean visited coverage that is enough where nobody asks for more."""
+"""Default half-width of the 95 % interval of mean visited coverage at which the rollouts stop."""
 EXACT_SECONDS = 2.0
-"""Of looking for an exact value of the closed loop, about, before it is sampled alone."""
+"""Approximate limit of the search for an exact value of the closed loop, in seconds; then it is only sampled."""
 SECONDS = 10.0
-"""Of rolling out, after which an answer that nobody gave a size stops, whatever its interval."""
+"""Default limit of the time for rollouts, in seconds, if no size was given."""
 
 
 Exactness = Literal["auto", "never"] | float
@@ -38,17 +38,17 @@ Exactness = Literal["auto", "never"] | float
 
 @dataclass(frozen=True)
 class RolloutChoices:
-    """What to roll out, and how much.
+    """Choices of the rollouts: loop, number, seed and stopping rule.
 
     Attributes:
-        loop: "open": follow the plan until stopped; "closed": reallocate and share at run time.
-        rollouts: how many, when `precision` is None.
+        loop: "open": robots follow the plan until destroyed; "closed": they reallocate and share at run time.
+        rollouts: number of rollouts, when `precision` is None.
         precision: stop when the half-width of the 95 % interval of mean visited coverage (a fraction) is below this.
-        seconds: of rolling out, after which it stops too, as soon as what is under way is done; None: no limit.
+        seconds: limit of the time for rollouts; the chunk under way is completed. None: no limit.
         engine: "auto", "jax" or "numba". seed: of the rollouts.
-        deadline: a step at which coverage is reported too, or None; before it is `timed` also a time, as "45min".
-        first_only: only the first visit of a cell by anybody can stop a robot; closed loop.
-        exact: whether the closed loop's exact values are looked for: "auto" for EXACT_SECONDS, "never", or the seconds.
+        deadline: a step at which coverage is also reported, or None; before `timed` also a time, as "45min".
+        first_only: only the first visit of a cell by any robot can destroy a robot; closed loop.
+        exact: search for the closed loop's exact values: "auto" for EXACT_SECONDS, "never", or the seconds.
     """
 
     loop: Literal["open", "closed"] = "closed"
@@ -67,21 +67,21 @@ class RolloutChoices:
         self.check()
 
     def timed(self, pace: Pace) -> RolloutChoices:
-        """The same with the step of a deadline that is a time. Raises UsageError where that is not known."""
+        """The same with a deadline in time converted to a step. Raises UsageError if the pace is unknown."""
         return replace(self, deadline=pace.last_step("deadline", self.deadline))
 
     @property
     def next_seed(self) -> int:
-        """Another seed, whose rollouts had no part in what these chose."""
+        """Another seed, whose rollouts are independent of those that made a selection."""
         return (self.seed + 1) % 2**64
 
     @property
     def exact_seconds(self) -> float:
-        """Of looking for the closed loop's exact values."""
+        """Limit of the search for the closed loop's exact values, in seconds."""
         return {"auto": EXACT_SECONDS, "never": 0.0}[self.exact] if isinstance(self.exact, str) else self.exact
 
     def check(self) -> None:
-        """Raise UsageError for an unknown word, a value out of range, or a combination that has no answer."""
+        """Raise UsageError for an unknown word, a value out of range, or a contradictory combination."""
         for name in ("loop", "engine"):
             check_word(name, getattr(self, name), OPTIONS[name].words)
         if self.engine == "jax":
@@ -102,9 +102,9 @@ class RolloutChoices:
 def how_much(
     rollouts: int | None, precision: float | None, seconds: float | None, usual: int | None = None
 ) -> dict[str, Any]:
-    """`rollouts`, `precision` and `seconds` of RolloutChoices, for what was asked for; raises UsageError for too much.
+    """`rollouts`, `precision` and `seconds` of RolloutChoices. Raises UsageError for both a number and a precision.
 
-    Where no number and no precision was: `usual` rollouts, or until PRECISION is reached; for SECONDS at most.
+    Without either: `usual` rollouts, or until PRECISION is reached; for SECONDS at most.
     """
     if rollouts is not None and precision is not None:
         both = f"both {argument('rollouts')} and {argument('precision')} are given"
@@ -118,9 +118,9 @@ def how_much(
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """Where a run of rollouts stands: its tally, the engine's name, seconds of running and of compiling.
+    """Progress of a run of rollouts: its tally, the engine's name, seconds of running and of compiling.
 
-    The closed loop's tally has its sums by luck too (`analysis.statistics.variance_reduction`).
+    The closed loop's tally also has the sums of the control variate (`analysis.statistics.variance_reduction`).
     """
 
     tally: Tally
@@ -130,10 +130,10 @@ class Stage:
 
 
 RollOut = Callable[[RolloutChoices, int | None], Iterator[Stage]]
-"""Rolls out as many as the choices ask for, cut off at a step if one is given; yields where it stands after every
-chunk, with a precision after the numbers of `looks()` among them."""
+"""Runs the rollouts of the choices, up to a step if one is given, and yields a Stage after every chunk. With a
+precision, chunks also end at the numbers of `looks()`."""
 Roll = Callable[[int, int], RolloutResults]
-"""`roll(start, count)`: what each of those rollouts came to."""
+"""`roll(start, count)`: the result of each of those rollouts."""
 
 
 def check_deadline(plan: Plan, choices: RolloutChoices) -> None:
@@ -145,10 +145,10 @@ def check_deadline(plan: Plan, choices: RolloutChoices) -> None:
 
 
 def knowing_deadline(world: World, plan: Plan, choices: RolloutChoices, *, nominal: bool = True) -> Plan:
-    """The plan of robots that come home by the deadline of the choices, which they know; any other plan as it is.
+    """A plan with return to a base, made anew for the deadline of the choices; any other plan unchanged.
 
-    `nominal`: with its run without losses, which rollouts do not need. Raises PlanError where one is late from the
-    start.
+    `nominal`: include its run without losses, which rollouts do not need. Raises PlanError if a robot cannot return
+    in time even without losses.
     """
     from planner.make_plan import make_plan
 
@@ -161,10 +161,10 @@ def knowing_deadline(world: World, plan: Plan, choices: RolloutChoices, *, nomin
 
 
 def home_of(plan: Plan, found: Tally | RolloutResults, loop: str, deadline: int | None = None) -> NDArray | None:
-    """Robots that are home at the end, as `found` counts robots alive; None where that is not asked for.
+    """Robots at a base at the end, counted as `found` counts robots alive; None for plans without return.
 
-    In the open loop robots follow their paths: if these are all at home at the `deadline`, or their end, who is alive
-    then is there.
+    In the open loop robots follow their paths: if all paths are at a base at the `deadline`, or at their end, every
+    robot alive then is at a base.
     """
     if loop == "open":
         return found.alive if plan.ends_home(deadline) else None
@@ -180,8 +180,8 @@ def make_engine_for(
 ) -> Engine:
     """The engine that the choices name, for the whole run. Raises InputError.
 
-    `kept`: where tables that do not depend on the team are kept for the next one.
-    `threats`: the world whose threats stop robots, where they are not those of the map that the plan was made for.
+    `kept`: cache of the tables that do not depend on the team, for the next team.
+    `threats`: the world whose threats destroy robots, if it is not the world that the plan was made for.
     """
     from planner.rollouts.engine import Rolling, make_engine
 
@@ -204,9 +204,9 @@ def make_roll_out(
     threats: World | None = None,
     kept: AllPairs | None = None,
 ) -> RollOut:
-    """The loop that the choices name, its tables made once. Arguments as of `make_engine_for`.
+    """The loop that the choices name, with its tables built once. Arguments as of `make_engine_for`.
 
-    What it returns may be called for other numbers of rollouts; choices that differ in more are a ValueError.
+    The result may be called for other numbers of rollouts; choices that differ otherwise are a ValueError.
     """
     from planner.rollouts.engine import run_chunks
 

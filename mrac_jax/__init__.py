@@ -1,4 +1,4 @@
-"""mrac-jax: how much of a dangerous area will a team of robots cover before it is lost, and how sure are we?
+"""mrac-jax: the coverage of a dangerous area by a team of robots that may be lost, with confidence intervals.
 
 The public API: `import mrac_jax as mrac`, then `mrac.load`, `mrac.plan`, `mrac.evaluate` and the other names of
 `__all__`. Each name is imported at its first use. `analysis` and `planner` import nothing through this module.
@@ -81,9 +81,9 @@ OF_0_3 = {
     "mission": ("analysis.api", "drive"),
     "reproduce": ("analysis.api", "check(paper=...)"),
 }
-"""Names of release 0.3, which work for one release: where each stands, and what it is called today."""
+"""Names of release 0.3, which work for one release: the module and today's name of each."""
 MODULES = ("functional", "plots")
-"""Names that are modules themselves."""
+"""Names that are modules."""
 NEIGHBOURS = ("planner", "analysis")
 HOME = Path(__file__).parent.parent
 
@@ -108,10 +108,10 @@ def __getattr__(name: str) -> Any:
 
 
 def _functions() -> dict[str, FunctionType]:
-    """The functions behind the door, by name: an argument that one does not have may be another's."""
+    """The public functions by name, to suggest the function that has an unknown argument."""
     found = {}
     for name in __all__:
-        with suppress(ImportError):  # without an extra: one function less to name
+        with suppress(ImportError):  # without an extra there is one function less to suggest
             found[name] = __getattr__(name)
     return {name: one for name, one in found.items() if isinstance(one, FunctionType)}
 

@@ -1,12 +1,11 @@
 """The command line: `mrac-jax`, or `python -m mrac_jax`.
 
-The folder that holds our three packages comes first on this process's path, and so on that of the workers it starts,
-before anything else is imported: a `planner.py` or `analysis/` of the user's own on PYTHONPATH changes nothing. From
-the first moment to the last an interrupt is one line and status 130; so is SIGTERM, with which schedulers of jobs
-begin.
+The folder of the three packages comes first on the path of this process and of its workers, before any other import:
+a user's `planner.py` or `analysis/` on PYTHONPATH has no effect. At any time an interrupt gives one line and status
+130. So does SIGTERM, which job schedulers send first.
 
-SIGTERM is blocked in all threads, and waited for in one of its own (`analysis.cli.console`): METIS, while it runs,
-takes it for an error of its own and jumps, in whatever thread got it; most such processes crashed.
+SIGTERM is blocked in all threads, and a separate thread waits for it (`analysis.cli.console`): METIS handles SIGTERM as
+one of its errors and jumps, in the thread that received it; most such processes crashed.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from pathlib import Path
 
 INTERRUPTED = 130
 OWN = getattr(signal, "SIGUSR2", signal.SIGINT)
-"""By what this process interrupts itself: shells tell what they begin in the background to ignore SIGINT."""
+"""Signal by which this process interrupts itself: shells make background processes ignore SIGINT."""
 
 
 def main() -> None:
@@ -42,23 +41,23 @@ def main() -> None:
             raise
         print("interrupted", file=sys.stderr)  # noqa: T201
         status = INTERRUPTED
-    for number in (signal.SIGINT, signal.SIGTERM, OWN):  # the answer is out: its status stands
+    for number in (signal.SIGINT, signal.SIGTERM, OWN):  # the answer is complete, so its status is kept
         signal.signal(number, signal.SIG_IGN)
-    # Where code that is text (a dataclass is) was interrupted, `python -m` ends by the signal, whatever the status; the
-    # next such code makes it forget.
+    # If generated code (as of a dataclass) was interrupted, `python -m` ends by the signal, whatever the status; the
+    # next generated code clears that state.
     exec("")
     ended.append(status)
     sys.exit(status)
 
 
 def _leave(ended: list[int]) -> None:
-    """End the process here, as the last that is done at its end: to take Python itself down takes half a second more.
+    """End the process at once, as its last exit function: the shutdown of Python takes half a second more.
 
-    Errors that have a traceback end as ever, and so does what was printed but cannot be written: Python says so.
+    Errors with a traceback, and output that cannot be flushed, take the usual shutdown, so that Python reports them.
     """
     with contextlib.suppress(OSError, ValueError):
         for stream in (sys.stdout, sys.stderr):
-            if stream is not None:  # closed by who began the process
+            if stream is not None:  # closed by the parent process
                 stream.flush()
         if ended:
             os._exit(ended[0])

@@ -1,4 +1,4 @@
-"""Times JAX beside Numba on this machine: `python -m mrac_jax.bench [--minutes M] [--small]`, or `make bench-gpu`.
+"""Times of JAX and Numba on this machine: `python -m mrac_jax.bench [--minutes M] [--small]`, or `make bench-gpu`.
 
 Before it times an engine, the program checks that JAX and Numba agree: closed loop rollout by rollout, open loop count
 for count. The exit status is 1 if they differ, and 3 if the time was over before the end. Each row is printed as soon
@@ -41,15 +41,15 @@ Call = Callable[[int, int], Any]
 """Rolls out `(start, count)`."""
 SEED, ROBOTS, CHECKED = 1, 8, 2**12
 REPETITIONS, SECONDS = 3, 2.0
-"""Calls that are timed: so many at most, and none after so many seconds."""
+"""Limits of timed calls: their number, and the seconds after which no further call starts."""
 COMPILES = "/jax/core/compile/"
-"""JAX's events of tracing, lowering and compilation begin so."""
+"""Prefix of JAX's events of tracing, lowering and compilation."""
 DIFFERENT, CUT_OFF = 1, 3
 """Exit statuses."""
 WIDTHS = (20, 30, 13, 13, 13, 8, 10)
 COLUMNS = ("world", "part", "rollouts/call", "JAX, 1/s", "Numba, 1/s", "ratio", "compile, s")
 CHECKS_END, OPEN_ENDS = 0.4, 0.55
-"""Shares of the time that are over when the checks and the open loop end. The closed loop has the rest."""
+"""Fractions of the time at which the checks and the open loop end. The closed loop has the rest."""
 CASES: tuple[tuple[Kind, int, float], ...] = (
     ("contiguous", 20, 0.25), ("contiguous", 20, 0.05), ("scattered", 20, 0.25), ("contiguous", 64, 0.25),
 )  # fmt: skip
@@ -61,7 +61,7 @@ class Scale:
     """Sizes of a run.
 
     Attributes:
-        cases: how many of CASES. lanes: of the closed loop, the first also for the check; others: of all cases but the
+        cases: number of CASES. lanes: of the closed loop, the first also for the check; others: of all cases but the
             first. draws: rollouts whose thresholds are drawn in a call. open: rollouts of an open-loop call.
         batch: of `mrac.functional.rollouts`. least: rollouts of the smallest call when JAX and Numba are compared.
     """
@@ -79,7 +79,7 @@ draw = jax.jit(partial(thresholds, SEED, robots=ROBOTS))
 MANY = tuple(2**power for power in (16, 12, 14, 18, 13, 15, 17))
 SCALES = {
     "gpu": Scale(4, MANY, MANY[:4], 2**22, (2**20, 2**24), 2**16, 2**12),
-    # Programs of the other worlds, whose books grow, are compiled several times: too long for a CPU.
+    # Fewer worlds: the books of the others grow, so their programs are compiled several times, too slow on a CPU.
     "cpu": Scale(2, (2**10, 2**8), (2**10,), 2**18, (2**16, 2**18), 2**12, 2**12),
     "small": Scale(1, (2**8,), (), 2**14, (2**14,), 2**12, 2**12),
 }
@@ -104,11 +104,11 @@ class Run:
         self._compiled += duration_secs if event.startswith(COMPILES) else 0.0
 
     def begin(self, share: float) -> None:
-        """Begin a part, which ends when this share of the time is over: it has what the parts before it left."""
+        """Begin a part, which ends at this fraction of the time; time left by earlier parts is available to it."""
         self._end, self._since, self._longest = share * self._seconds, self.elapsed(), 0.0
 
     def allows(self, title: str, what: str) -> bool:
-        """Whether a measurement as long as the longest of this part would end in time; prints a row where not."""
+        """True if a measurement as long as the longest of this part would end in time; else prints a row."""
         now = self.elapsed()
         self._since, self._longest = now, max(self._longest, now - self._since)
         fits = now + self._longest < self._end
@@ -158,13 +158,13 @@ def overtakes(of_jax: Call, of_numba: Call, most: int, least: int) -> str:
 
 
 def same_counts(one: Any, other: Any) -> bool:
-    """Whether counts are equal, but for zeros at the end of either."""
+    """True if counts are equal up to trailing zeros."""
     first, second = (np.trim_zeros(np.asarray(each, dtype=np.int64).reshape(-1), "b") for each in (one, other))
     return np.array_equal(first, second)
 
 
 def same_results(one: RolloutResults, other: RolloutResults) -> bool:
-    """Whether all rollouts came to the same."""
+    """True if all rollouts have equal results."""
     return all(np.array_equal(getattr(one, column.name), getattr(other, column.name)) for column in fields(one))
 
 
@@ -259,7 +259,7 @@ class Case:
                 print_row("", f"  book: {book}; {engine.starts - starts} trips to the host in the next call")
         most = self.closed_jax.least
         self.compare(run, "closed loop", self.closed_jax.tally, self.closed_numba.tally, most)
-        rate.cache_clear()  # which holds the engines, and their memory on the device
+        rate.cache_clear()  # it holds the engines and their memory on the device
 
 
 def describe_world(kind: str, side: int, ratio: float) -> str:
@@ -280,7 +280,7 @@ def describe(sizes: str) -> str:
 
 
 def memory() -> str:
-    """The most memory of a device that the process has had so far, in GB; nothing where JAX does not say."""
+    """Peak memory of the process on a device in GB; empty if JAX does not report it."""
     most = [(device.memory_stats() or {}).get("peak_bytes_in_use", 0) for device in jax.local_devices()]
     return f", {max(most) / 1e9:.2f} GB of device memory at most" if any(most) else ""
 
@@ -311,7 +311,7 @@ def measure(sizes: str, run: Run) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure for so many minutes at most; return the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m mrac_jax.bench", description="Time JAX beside Numba.")
+    parser = argparse.ArgumentParser(prog="python -m mrac_jax.bench", description="Time JAX and Numba.")
     parser.add_argument("--minutes", type=float, default=8.0, help="the run ends by then (default: 8)")
     parser.add_argument("--small", action="store_true", help="one world, few rollouts; reads JAX's cache of programs")
     asked = parser.parse_args(arguments)

@@ -4,19 +4,19 @@
     rollout(key, arrays, p) -> Outcome                       one open-loop rollout
     rollouts(key, arrays, p, n) -> Counts                    integer counts of n rollouts, batch after batch
     expected_coverage(arrays, p, value=None)                 exact, differentiable in p
-    survival(arrays, p)                                      chance that a robot reaches its first entry of a cell
+    survival(arrays, p)                                      probability that a robot reaches its first entry of a cell
     thresholds(key, ids, robots)                             failure thresholds, as every engine draws them
     book(world, plan)                                        the closed loop's decisions, as a frozen pytree
-    closed_rollouts(book, thresholds) -> Closed              rollouts in which robots take over from those lost
+    closed_rollouts(book, thresholds) -> Closed              rollouts in which survivors take over work
     closed_gradient(key, book, p, n) -> Gradient             of the closed loop's expected coverage in p
 
-All but the last three are of the open loop: robots follow their nominal paths, and none takes over from another
+All but the last three are of the open loop: robots follow their nominal paths, and no work is reassigned
 (docs/spec.md, section 6). The closed loop is described in `mrac_jax/closed_loop/README.md`.
 
 Axes: `K` robots, `E` entries of a path, `H`, `W` rows and columns of the map, `N = H * W` cells (index
 `row * W + col`), `T` steps.
 
-`p` `[H, W]` is the chance that a visit of a cell destroys a robot; it need not be the map that the plan was made for.
+`p` `[H, W]` is the probability that a visit of a cell destroys a robot; it may differ from the map of the plan.
 Cells that are obstacles in the world are ignored: `p` and `value` may be NaN there, and gradients are 0. In all other
 cells NaN, p < 0 and p >= 1 are an InputError where `p` is concrete. Under a trace values cannot be checked, and the
 result is undefined. Shapes are checked in both cases.
@@ -53,7 +53,7 @@ from planner.world.world import World
 
 Key: TypeAlias = int | Array
 MOST_ROLLOUTS = 2**31 - 1
-"""Of one call: counts are int32."""
+"""Limit of rollouts of one call: counts are int32."""
 NOT_LOST = -1
 """Step and cell of the loss of a robot that is not lost."""
 
@@ -105,7 +105,7 @@ class Counts:
     """Counts of rollouts, int32. Counts of different ids add: `jax.tree.map(jnp.add, a, b)`.
 
     Attributes:
-        rollouts: how many. visited, survived: `[H, W]`, rollouts in which a cell is.
+        rollouts: their number. visited, survived: `[H, W]`, rollouts in which a cell is.
         visits, losses: `[H, W]`, visits of each cell, and robots lost there.
         cells_visited, cells_survived: `[N + 1]`, rollouts by number of cells.
         time: `[T + 1]`, rollouts by step of the last move. alive: `[K + 1]`, by robots that finish their paths.
@@ -126,7 +126,7 @@ def arrays(world: World, plan: Plan) -> PlanArrays:
     """The plan's paths as arrays, in O(K (E + N)). Weibull shape and hazard multipliers are those of the plan.
 
     Raises:
-        PlanError: the plan is for another map, goes on from a mission's state, or has robots of several types.
+        PlanError: the plan is for another map, starts from a mission's state, or has robots of several types.
         WorldError: the map is not known, or its threats change, move or depend on the robot.
     """
     plan.require(world)
@@ -144,7 +144,7 @@ def arrays(world: World, plan: Plan) -> PlanArrays:
         path = robot.path[steps]
         cell[number, : len(path)] = path
         step[number] = np.pad(steps, (0, entries - len(path)), mode="edge")
-        first[number, path[::-1]] = np.arange(len(path))[::-1]  # of several entries the first one is written last
+        first[number, path[::-1]] = np.arange(len(path))[::-1]  # reversed: the first of several entries is written last
     return PlanArrays(
         cell=jnp.asarray(cell, jnp.int32),
         step=jnp.asarray(step),
@@ -192,7 +192,7 @@ def stack(plans: Sequence[PlanArrays]) -> PlanArrays:
 
 
 def survival(arrays: PlanArrays, p: ArrayLike) -> Array:
-    """The chance that each robot reaches its first entry of each cell, `[K, H, W]`; 0 where it has none.
+    """Probability that each robot reaches its first entry of each cell, `[K, H, W]`; 0 if it has none.
 
     `S_i(c)` of docs/spec.md, section 6, before that entry's own check: `exp(-hazard)` of the entries before it. With a
     Weibull shape below 1 the derivative at a cumulative hazard of 0 is infinite; gradients have 0 there.
@@ -284,14 +284,14 @@ def _seed_words(key: Key) -> Array:
 
 @jax.jit
 def _limits(arrays: PlanArrays, p: Array) -> tuple[Array, Array]:
-    """(uint32 `[K, E]`, int32 `[K]`): a robot passes an entry if its word is below the limit; or if it is one of so
-    many first entries, by which its hazard is 0.
+    """(limits uint32 `[K, E]`, counts int32 `[K]`): a robot passes an entry if its word is below the limit, or if the
+    entry is one of the first ones, which have hazard 0.
 
     The same integers as in the other engines (`planner.failure_model.exposure_of`, `least_word`): 64 bits are needed.
     """
-    with jax.enable_x64(True):  # of what is traced here alone
+    with jax.enable_x64(True):  # only for values traced here
         chance = jnp.append(jax.lax.stop_gradient(p).astype(jnp.float64).reshape(-1), 0.0)
-        # float64 rounds another way than the exact value once in some 10,000 cells: a limit moves by one word at most.
+        # float64 rounds differently from the exact value about once in 10,000 cells: a limit moves by at most one word.
         own = jnp.rint(-jnp.log1p(-chance) * UNIT).astype(jnp.int64)
         hazard = jnp.cumsum(own[arrays.cell], axis=1)
         hazard = _to_fresh_robot(hazard, arrays.multiplier.astype(jnp.int64)[:, None], arrays.weibull_shape)
@@ -496,15 +496,15 @@ def book(
 ) -> Book:
     """The decisions of rollouts 0 .. `rollouts` - 1 of a seed in a plan's closed loop: a frozen pytree of fixed shapes.
 
-    Other rollouts may need decisions that it lacks (`Closed.missing`), the fewer the more rollouts it is of.
+    Other rollouts may need decisions that it lacks (`Closed.missing`); more rollouts leave fewer gaps.
 
     Args:
         world: the map of the plan. plan: as of `mrac.plan`.
-        p: `[H, W]`, the chance that a visit destroys a robot, in these rollouts and in those of the book; decisions
-            stay those of the plan's map. None: the map's.
+        p: `[H, W]`, probability that a visit destroys a robot, in these rollouts and in those of the book; decisions
+            are those of the plan's map. None: the map's.
         seed, rollouts: see above. lanes: rollouts at a time.
 
-    Raises InputError for a plan of another world, for such p, and for a mission that the book does not hold.
+    Raises InputError for a plan of another world, for invalid p, and for a mission that the book does not support.
     """
     loop = compile_closed_loop(plan, world)
     if p is not None:
@@ -530,7 +530,7 @@ def closed_rollouts(book: Book, thresholds: ArrayLike) -> Closed:
             fix="draw them by thresholds(seed, ids, robots)",
         )
     left = jnp.pad(left, ((0, 0), (0, room - team[0]), (0, 0)), constant_values=np.uint32(2**30))
-    # The program broadcasts, whatever the caller's own code may do.
+    # The program relies on rank and dtype promotion, even if the caller has restricted them.
     with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
         lanes, result, _ = roll_out(book, left, jnp.bool_(True), None)
         missing = lanes.mode != DONE
@@ -543,15 +543,15 @@ GROUPS, LARGEST = 64, 4096
 
 
 def closed_gradient(key: Key, book: Book, p: ArrayLike, n: int) -> Gradient:
-    """The gradient of the closed loop's expected coverage in p, while every decision stays as it is in the book.
+    """The gradient of the closed loop's expected coverage in p, with the decisions of the book held fixed.
 
     `E[(C - b) (losses_c / p_c - passes_c / (1 - p_c))]` (score function method, Glynn 1990); C: cells visited, b: its
     mean, losses_c: robots lost in cell c, passes_c: visits of c that a robot survived.
 
     Args:
         key: a seed or a key of `jax.random`; rollouts 0 .. n - 1 of it.
-        book: of a plan whose robots are alike and do not wear out.
-        p: `[H, W]`, the chance that a visit destroys a robot; need not be that of the book.
+        book: of a plan whose robots are alike, with Weibull shape 1.
+        p: `[H, W]`, probability that a visit destroys a robot; may differ from that of the book.
         n: rollouts, static, at least 2 * GROUPS.
 
     Raises InputError, also for a book of other robots, unless it is traced.
@@ -587,5 +587,5 @@ def _closed_gradient(seed: Array, book: Book, p: Array, *, n: int) -> Gradient:
         whole = jnp.zeros(p.size, own.dtype).at[book.cells].set(values).reshape(p.shape)
         return jnp.where(book.free & (p <= 0), jnp.nan, whole)
 
-    # The mean of C is of the same rollouts.
+    # The mean of C is estimated from the same rollouts.
     return Gradient(grid(mean * total / (total - 1)), grid(error), n - total)

@@ -1,4 +1,4 @@
-"""Arguments that a person gave, in Python or on the command line: checked, and named as they were given."""
+"""Checks of arguments. Messages name a Python argument or a command-line option, as the user typed it."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from typing import Any, Literal, get_args
 
 from planner.errors import InputError, PlanError, UsageError
 
-# How many there can be: what a random-number counter addresses (SPEC section 6), how ids are kept (section 9).
+# Limits: of the random-number counter (SPEC section 6) and of the storage of rollout ids (section 9).
 
 MAX_STEP = 2**22 - 2
-"""Last step that a counter can address."""
+"""Last step that the random-number counter can address."""
 MOST_ROLLOUTS = 2**32
-"""Rollout ids that there are."""
+"""Number of rollout ids."""
 MAX_PLAN_BYTES = 2**26
-"""Of a plan or state file: 64 MiB, about 6 million path entries; to read them Python needs some 16 times that."""
+"""Limit of a plan or state file: 64 MiB, about 6 million path entries. Reading it takes about 16 times the memory."""
 BLOCK = 4096
-"""Rollout ids of an aligned block, in which they are stored, resumed and looked at."""
+"""Rollout ids of an aligned block, the unit of storage, of resuming and of stopping rules."""
 LEAST_SHAPE, MOST_SHAPE = 0.25, 16.0
-"""Of what robots that wear bear (`planner.failure_model`)."""
+"""Limits of the Weibull shape of the failure threshold (`planner.failure_model`)."""
 LEAST_SUSCEPTIBILITY, MOST_SUSCEPTIBILITY = 1 / 64, 64.0
-"""How often exposure counts on a robot."""
+"""Limits of the factor of the exposure of a robot."""
 
 EngineName = Literal["auto", "jax", "numba"]
 ENGINES: tuple[EngineName, ...] = get_args(EngineName)
@@ -34,7 +34,7 @@ ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 # Arguments.
 
 COMMAND_LINE: ContextVar[bool] = ContextVar("command_line", default=False)
-"""True while a command line is being run: `argument` then names options."""
+"""True while a command line runs: `argument` then names options."""
 OPTIONS = {
     "first_only=True": "--threat-checks first_visit",
     "picks": "--pick",
@@ -55,14 +55,14 @@ def argument(name: str, *value: object) -> str:
 
 
 def _typed(value: object) -> str:
-    """A value as it is typed on the command line."""
+    """A value as typed on the command line."""
     if isinstance(value, list | tuple):
         return ",".join(map(_typed, value))
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def exactly(value: float) -> str:
-    """A number in as few digits as tell what it is, as options take it: "20", "0.1", "1e-05"."""
+    """A number in the fewest digits that identify it, as an option accepts it: "20", "0.1", "1e-05"."""
     short = f"{value:g}"
     return short if float(short) == value else str(value)
 
@@ -73,7 +73,7 @@ def is_whole(value: object, low: int, high: int) -> bool:
 
 
 def as_whole(value: Any) -> Any:
-    """1e4 as 10000: a whole number however it is written; anything else as it is, for a check to refuse."""
+    """An integral float as an int (1e4 as 10000); other values unchanged, for a later check."""
     return int(value) if not isinstance(value, Integral) and is_real(value) and value == int(value) else value
 
 
@@ -88,7 +88,7 @@ def is_real(value: object) -> bool:
 
 
 def check_each(name: str, given: object, robots: int, source: str = "", what: str = "number") -> None:
-    """Raise PlanError for what is given robot by robot, as a tuple, for another team than this of `robots`."""
+    """Raise PlanError for a tuple whose length is not the number of robots."""
     if isinstance(given, tuple) and len(given) != robots:
         problem = f"{argument(name)} of {len(given)} robots for a team of {robots}"
         raise PlanError(problem, source=source, expected=f"one {what}, or one for each robot")
@@ -96,12 +96,12 @@ def check_each(name: str, given: object, robots: int, source: str = "", what: st
 
 @dataclass(frozen=True)
 class Numbers:
-    """Numbers that are accepted, said once: what checks a value is what its error says.
+    """A set of accepted numbers. The check of a value and its message have the same source.
 
     Attributes:
-        least, most: the limits. above, below: the first, the second is none of them itself.
-        what: they are, in words. whole: none has a fraction; 8.0 is none either.
-        said: all of it in words, where `what` and the limits would say it badly.
+        least, most: the limits. above: `least` is excluded. below: `most` is excluded.
+        what: noun for the message. whole: integers only; the float 8.0 is refused.
+        said: full text for the message, in place of `what` and the limits.
     """
 
     least: float = -math.inf
@@ -114,7 +114,7 @@ class Numbers:
 
     @property
     def expected(self) -> str:
-        """What is accepted, in words: "a number above 0, at most 1"."""
+        """Text of the accepted values: "a number above 0, at most 1"."""
         least, most = (str(n) if self.whole else exactly(n) for n in (self.least, self.most))
         first = f"{self.what} above {least}" if self.above else f"{self.what}, {least}"
         if math.isinf(self.most):
@@ -124,7 +124,7 @@ class Numbers:
         return self.said or words
 
     def accepts(self, value: object) -> bool:
-        """True for one of them."""
+        """True for an accepted number."""
         if not is_real(value) or (self.whole and not isinstance(value, Integral)):
             return False
         number: Any = value
@@ -140,12 +140,12 @@ class Numbers:
         fix: str = "",
         optional: bool = False,
     ) -> None:
-        """Raise `error` unless the argument `name` is one of them; `optional`: or None."""
+        """Raise `error` unless the argument `name` is an accepted number; `optional`: or None."""
         if not self.accepts(value) and not (optional and value is None):
             raise error(argument(name, value), source=source, expected=self.expected, fix=fix or self.meant(value))
 
     def meant(self, value: object) -> str:
-        """The fix for a percentage in the place of a fraction: "did you mean 0.05?" for 5; "" for what is none."""
+        """The fix for a percentage instead of a fraction: "did you mean 0.05?" for 5; "" for other values."""
         number: Any = value
         if self.most > 1 or not is_real(value) or not 1 < number <= 100 or not self.accepts(number / 100):
             return ""
@@ -186,9 +186,9 @@ def numbers_of(name: str, text: str, expected: str) -> tuple[float, ...]:
 
 
 def nearest(given: object, words: Iterable[str], likeness: float = 0.6) -> str:
-    """The word of `words` that is probably meant by another one, "" if none is near; case, - and _ do not count.
+    """The word of `words` closest to `given`, "" if none is close. Case, - and _ do not count.
 
-    `likeness`: of the two at least, 0 to 1.
+    `likeness`: minimum similarity, 0 to 1.
     """
     plain = {_plain(word): word for word in words}
     close = difflib.get_close_matches(_plain(str(given)[:60]), plain, n=1, cutoff=likeness)
@@ -200,6 +200,6 @@ def _plain(word: str) -> str:
 
 
 def did_you_mean(given: object, words: Iterable[str]) -> str:
-    """The fix for a word that is none of `words`: the one that is near it, "" if none is."""
+    """The fix for a word that is not in `words`: the closest one; "" if none is close."""
     close = nearest(given, words)
     return f"did you mean {close!r}?" if close else ""

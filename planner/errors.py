@@ -1,4 +1,4 @@
-"""Exceptions for bad input, which name source, value, expectation and fix; and names of release 0.3.
+"""Exceptions for bad input with source, value, expectation and fix; and the names of release 0.3.
 
 Text from files and names is escaped for display: it cannot move a cursor, set a title or reverse the text direction.
 """
@@ -25,7 +25,7 @@ def visible(text: str, kept: str = "\n\t") -> str:
 
 
 PER_VISIT = "random numbers for each visit were removed in release 0.4; use release 0.3"
-"""Message about files and options that need them."""
+"""Message for files and options that need random numbers for each visit."""
 
 
 class MracError(Exception):
@@ -38,11 +38,11 @@ class InputError(MracError, ValueError):
     It is a `ValueError`, so code that wraps the `ValueError` of a library has to let an `InputError` pass first.
 
     Args:
-        problem: what is wrong, with the offending value; or another error, for libraries that re-raise an error of
-            another process as `type(error)(error)`.
+        problem: description of the error, with the offending value; or another error, for libraries that re-raise an
+            error of another process as `type(error)(error)`.
         source: file, option or key of the value ("" if there is none).
         expected: accepted values ("" if the problem implies them).
-        fix: what the user can do ("" if the expectation implies it).
+        fix: the user's remedy ("" if the expectation implies it).
     """
 
     def __init__(self, problem: str | Exception, *, source: object = "", expected: str = "", fix: str = "") -> None:
@@ -72,7 +72,7 @@ class PlanError(InputError):
 
 
 class StateError(InputError):
-    """A state of a mission that does not fit its world, or itself."""
+    """A mission state that does not fit its world, or is inconsistent."""
 
 
 class UsageError(InputError):
@@ -97,13 +97,13 @@ class RenamedWarning(FutureWarning):
 
 
 def warn_renamed(old: str, new: str, source: object = "") -> None:
-    """Say once that `old` is now `new`; `source`: the file that has the old name."""
+    """Warn that `old` is now `new`; `source`: the file that has the old name."""
     where = f"{source}: " if str(source) else ""
     warnings.warn(f"{where}{old} is now {new}; release 0.5 no longer reads {old}", RenamedWarning, stacklevel=3)
 
 
 def with_new_names(given: Mapping[Any, Any], allowed: Collection[str], source: object = "") -> dict[Any, Any]:
-    """The same values under today's names, where `allowed` has the new name and not the old one."""
+    """The same values under today's names, for names that `allowed` has only in their new form."""
     found = dict(given)
     for old in [name for name in found if isinstance(name, str) and name in RENAMED and name not in allowed]:
         if (new := RENAMED[old]) in allowed and new not in found:

@@ -1,4 +1,4 @@
-"""The planner's settings, each said once: options, files, sweeps, checks and pages are derived from the line here."""
+"""The planner's settings, each defined once: options, files, sweeps, checks and pages derive from its line here."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ if TYPE_CHECKING:
     from planner.failure_model import FailureModel
 
 Policy = str | Rule | Callable[[Offer], Any]
-"""A rule by its name, or a user's own: a `Rule`, or a function to order areas by (`planner.policies.own_rule`)."""
+"""The name of a rule, or a user-defined `Rule` or function that orders areas (`planner.policies.own_rule`)."""
 BEST = "best"
-"""In the place of a policy: whichever covers most, which a search finds; no plan holds it."""
+"""`"best"`: search for the policy with the highest coverage. Never stored in a plan."""
 POLICY = ("policy", "risk_cap", "robot_value", "priority")
-"""A policy and the limits that go with it."""
+"""A policy and its limits."""
 BEARING = ("weibull_shape", "hazard_multiplier")
-"""What robots bear: no decision knows it."""
+"""Settings of the failure model. No decision depends on them."""
 KEPT = ("range", "deadline", "return_to", "recharge", "steps_per_move", "radio")
-"""What they keep to, whatever the policy."""
+"""Limits of the robots under every policy."""
 GROUPS = {"policy": POLICY, "plan_for": ("plan_for", "effort")}
-"""Settings that bring others along: who chooses them anew leaves those behind."""
+"""Settings with dependent ones: a new choice of the first discards the input's values of the others."""
 MOST_LEVELS = 1024
 MOST_EFFORT = 10**9
 MOST_DENSITY = 1e6
@@ -60,22 +60,22 @@ MOST_PRIORITY = 1000
 
 @dataclass(frozen=True)
 class Setting:
-    """What a setting or another option may be, and how it is spoken of.
+    """Accepted values and texts of a setting or of another option.
 
     Attributes:
-        title: on pages. help: of its option.
-        group: under which `--help` lists it. default: of an option that is no setting.
+        title: its name on pages. help: text of its option.
+        group: heading in `--help`. default: of an option that is not a setting.
         form: kind of an option whose values are neither numbers nor words: "flag", "switch" (a flag with a `--no-`),
             "path", "text", "texts" (may be repeated), "effort" (of `exact`), "reach" (a number of cells, or inf).
-        rare: `--help` leaves it out, `--help-all` has it.
-        numbers: that it may be. each: one for all, or a tuple of one a robot. words: that it may be instead.
-        names: it is a name, or a tuple of one a robot.
-        found: by a search, a number for each cell of the map: it has no option.
-        places: it is one of the words, or cells, a tuple of (row, col).
-        unset: what None means, on pages; "": it is never None.
-        time: it is a step, and may be given as a time (`planner.formatting`).
-        before: words of release 0.3 that are still read, with the words of today.
-        later: a plan with its default is the plan that it was before there was the setting.
+        rare: listed by `--help-all` only.
+        numbers: accepted numbers. each: one for all, or a tuple with one a robot. words: accepted words.
+        names: a name, or a tuple with one a robot.
+        found: set by a search only, one number a cell of the map; it has no option.
+        places: one of the words, or cells as a tuple of (row, col).
+        unset: meaning of None on pages; "": never None.
+        time: a step, which may be given as a time (`planner.formatting`).
+        before: words of release 0.3 that are still read, with today's words.
+        later: added after plans were first saved; its default does not change the identity of a plan.
     """
 
     title: str
@@ -97,7 +97,7 @@ class Setting:
 
     @property
     def kind(self) -> str:
-        """ "word", "time", "places", "names", "whole", "number", of one a robot "wholes", "numbers", or the form."""
+        """ "word", "time", "places", "names", "whole", "number"; "wholes", "numbers" for one a robot; or the form."""
         if self.form:
             return self.form
         if self.names:
@@ -107,7 +107,7 @@ class Setting:
         return "word" if self.words else ("whole" if self.numbers.whole else "number") + "s" * self.each
 
     def expected(self, unset: str) -> str:
-        """What is accepted, in words; `unset`: how a None is written, "" where it is not."""
+        """Text of the accepted values. `unset`: spelling of None; "": None is not mentioned."""
         if self.names:
             return f"a type, or a list of one a robot{f', or {unset}' * bool(unset)}"
         if self.words:
@@ -154,35 +154,35 @@ def _setting(default: Any, title: str, option: str, numbers: Numbers = ANY, **mo
 
 @dataclass(frozen=True)
 class Settings:
-    """The choices that a plan depends on (SPEC sections 1-5); they are saved with it.
+    """Settings that a plan depends on (SPEC sections 1-5). They are saved with it.
 
     Attributes:
-        levels: most threat levels, `p = 0` counted; a map with more distinct values is quantised for planning.
-        density: d of Algorithm 1, the least cells a robot of a safe area is to have; above 1.
-        risk: "paper", eq. (3), or "log", costs that make the safest path the one most likely survived.
+        levels: maximum number of threat levels, `p = 0` included; maps with more distinct values are quantised.
+        density: d of Algorithm 1, minimum number of cells a robot in a safe area; above 1.
+        risk: "paper", eq. (3), or "log": the cheapest path has the highest survival probability.
         transit: "grid": legs inside an area may cross others; "area": they stay inside.
         max_steps: T_max; None = 8 * levels * accessible cells + 64.
-        policy: which area is next (SPEC section 11): a rule of `planner.policies.RULES` by its name; or a user's own,
-            a `Rule` or a function (`planner.policies.own_rule`), which is not saved.
-        reserve: the share of the robots alive that may be at risk at once; None = all. With `per_cell`.
-        worth: the new cells that a robot is worth; None = any number. With `per_cell`.
-        range: moves that a robot can make, one number for all or one a robot; None = any number.
-        deadline: the step at which the mission is ended, whatever is left; None = at none.
-        wear: shape of the Weibull amount of exposure that robots bear (SPEC section 14); 1 = nothing wears out.
-        susceptibility: how many times exposure counts, one number for all or one a robot. No decision knows these two.
-        return_to: the bases that robots come home to (SPEC section 19): "home", their own starts; "nearest", anybody's;
-            or cells, a tuple of (row, col); None = robots stay where they end.
-        recharge: steps at a base after which a robot that comes home has its range again; None = it does not.
-        types: of robots (SPEC section 22), one for all or one a robot, by the names that the world's matrix has; None:
-            the map's p stops every robot.
-        steps_per_move: of robots that differ in speed (SPEC section 22), one for all or one a robot; only their ratios
-            count: reduced to whole numbers without a common factor. None: 1 each.
-        radio: cells over which robots hear each other, and a start or base (SPEC section 22): who is in no chain from
-            one of these takes no area and shares none, but drives back. None: any distance.
-        in_area: which cell of an area is next: one of `planner.policies.rules.ORDERS`; or a user's own, a function of
-            a `CellOffer`, which is not saved.
-        priority: by how much each cell counts when areas are compared, one number a cell of the map, row by row; as
-            `--policy best` finds it. None: alike. With `per_cell`, without `robot_value`.
+        policy: choice of the next area (SPEC section 11): the name of a rule of `planner.policies.RULES`; or a
+            user-defined `Rule` or function (`planner.policies.own_rule`), which is not saved.
+        risk_cap: maximum fraction of the robots alive that may be at risk at once; None = all. With `per_cell`.
+        robot_value: value of a robot in new cells; None = no limit. With `per_cell`.
+        range: maximum number of moves of a robot, one number for all or one a robot; None = unlimited.
+        deadline: step at which the mission ends; None = no deadline.
+        weibull_shape: Weibull shape of the failure threshold (SPEC section 14); 1 = failures without memory.
+        hazard_multiplier: factor of the exposure, one number for all or one a robot. No decision depends on these two.
+        return_to: bases that robots return to (SPEC section 19): "home", their own starts; "nearest", the nearest
+            start; or cells, a tuple of (row, col); None = robots stay at their last cell.
+        recharge: steps at a base that restore the range of a robot; None = never restored.
+        types: robot types (SPEC section 22), one for all or one a robot, named in the world's matrix; None = the map's
+            p applies to every robot.
+        steps_per_move: steps a move (SPEC section 22), one number for all or one a robot. Only their ratios count:
+            they are reduced to whole numbers without a common factor. None = 1 each.
+        radio: radio range in cells between robots, and to a start or base (SPEC section 22). A robot without a chain
+            to one of these takes and shares no area, and drives back. None = unlimited.
+        in_area: choice of the next cell of an area: one of `planner.policies.rules.ORDERS`; or a user-defined function
+            of a `CellOffer`, which is not saved.
+        priority: weight of each cell when areas are compared, one number a cell of the map, row by row; set by
+            `--policy best`. None = equal weights. With `per_cell`, without `robot_value`.
     """
 
     levels: int = _setting(
@@ -238,7 +238,7 @@ class Settings:
         whole(0, MAX_STEP), unset="none", time=True, later=True, rare=False,
     )  # fmt: skip
     weibull_shape: float = _setting(
-        1.0, "Weibull shape", "Weibull shape of the failure threshold; above 1 robots wear out (default: 1).",
+        1.0, "Weibull shape", "Weibull shape of the failure threshold; above 1: risk grows with exposure (default: 1).",
         Numbers(LEAST_SHAPE, MOST_SHAPE), later=True,
     )  # fmt: skip
     hazard_multiplier: float | tuple[float, ...] = _setting(
@@ -280,18 +280,18 @@ class Settings:
 
     @property
     def ends_by_deadline(self) -> bool:
-        """Whether it is `deadline` that cuts runs off, not the step limit."""
+        """True if `deadline` ends the runs, not the step limit."""
         return self.deadline is not None and self.deadline == self.last_step
 
     def failure_model(self, begun: tuple[int, ...] = ()) -> FailureModel:
-        """What the robots bear; `begun`: what each is known to have borne, in units of 2**-32 nat."""
+        """The failure model; `begun`: known exposure of each robot, in units of 2**-32 nat."""
         from planner.failure_model import FailureModel
 
         return FailureModel(self.weibull_shape, self.hazard_multiplier, begun, self.types)
 
     @property
     def alone(self) -> Settings:
-        """Of the first robot by itself: its own of what each robot has."""
+        """The settings of a team of the first robot: its value of each per-robot setting."""
         each = (name for name, setting in SETTINGS.items() if (setting.each or setting.names) and not setting.found)
         own = {name: getattr(self, name) for name in each}
         return replace(self, **{name: given[0] for name, given in own.items() if isinstance(given, tuple)})
@@ -303,18 +303,18 @@ class Settings:
 
     @property
     def own_words(self) -> str:
-        """What is the user's own among them, in words; "" where nothing is."""
+        """Text that names the user-defined rule and order; "" if there are none."""
         rule = f"the user's own rule {self.rule.name}" if not isinstance(self.policy, str) else ""
         order = "" if isinstance(self.in_area, str) else "an in-area order of the user's own"
         return " and ".join(filter(None, (rule, order)))
 
     def check_team(self, robots: int, source: str = "") -> None:
-        """Raise PlanError, naming `source`, for what each robot has of another team."""
+        """Raise PlanError, naming `source`, for per-robot settings of another number of robots."""
         for name in (name for name, setting in SETTINGS.items() if setting.each and not setting.found):
             check_each(name, getattr(self, name), robots, source)
 
     def require_no_return(self, what: str) -> None:
-        """Raise PlanError for robots that come home, which `what` knows nothing of."""
+        """Raise PlanError for robots that return to a base, which `what` does not support."""
         if self.return_to is not None:
             raise PlanError(f"{what} with {argument('return_to')}", fix=f"leave {argument('return_to')} out")
 
@@ -326,7 +326,7 @@ class Settings:
         return reduced if len(set(reduced)) > 1 else ()
 
     def require_uniform(self, what: str) -> None:
-        """Raise PlanError for robots that differ, or do not hear everybody, which `what` knows nothing of."""
+        """Raise PlanError for robots that differ, or have a limited radio range, which `what` does not support."""
         differ = (
             ("types", self.types is not None),
             ("steps_per_move", bool(self.paces)),
@@ -336,14 +336,14 @@ class Settings:
             raise PlanError(f"{what} with {argument(name)}", fix=f"leave {argument(name)} out")
 
     def require_no_recharge(self, what: str) -> None:
-        """Raise PlanError for robots that are charged at their bases, which `what` knows nothing of."""
+        """Raise PlanError for robots that recharge at their bases, which `what` does not support."""
         if self.recharge is not None:
             raise PlanError(f"{what} with {argument('recharge')}", fix=f"leave {argument('recharge')} out")
 
     def check(self, source: str = "") -> None:
         """Raise PlanError, naming `source`, for unknown words, values out of range, limits without their policy.
 
-        Without a source they are arguments, and on a command line named as its options.
+        Without a source the message names arguments; on a command line, options.
         """
         typed = COMMAND_LINE.get() and not source
 
@@ -394,7 +394,7 @@ class Settings:
         return shown | {title: shown[title] + pace.also(step) for title, step in ends.items()}
 
     def said(self) -> dict[str, Any]:
-        """Every setting by its name. What is the user's own is told by the object that it is: it is of this process."""
+        """Every setting by its name. The `id` of its object names a user-defined one, in this process only."""
         said = {name: getattr(self, name) for name in SETTINGS}
         said = {name: SETTINGS[name].plain(value) for name, value in said.items()}
         if not isinstance(self.policy, str):
@@ -404,7 +404,7 @@ class Settings:
         return said
 
     def to_json(self) -> dict[str, Any]:
-        """The settings as plan files hold them and identities go by them: later ones where they are not the default."""
+        """The settings for plan files and identities. Those marked `later` are left out at their default."""
         plain = _defaults()
         later = {name for name in plain if name not in SETTINGS or SETTINGS[name].later}
         return {name: value for name, value in self.said().items() if name not in later or value != plain[name]}
@@ -418,7 +418,7 @@ def _defaults() -> dict[str, Any]:
 SETTINGS: dict[str, Setting] = {item.name: item.metadata["setting"] for item in fields(Settings) if item.metadata}
 LOOP_WORDS = ("closed", "open")
 TEAM, GOAL, ROLLOUTS, SURVEY, TIMELINE, OUTPUT = "Team", "Goal", "Rollouts", "Many maps", "Timeline", "Output"
-"""Groups of options, beside "Planning"."""
+"""Groups of options, in addition to "Planning"."""
 
 
 def _option(
@@ -467,7 +467,7 @@ OPTIONS: dict[str, Setting] = SETTINGS | dict([
     _option(OUTPUT, "force", "Replace existing files without asking.", "flag", default=False),
     _option(OUTPUT, "json", "Print one JSON object and nothing else.", "flag", default=False),
 ])  # fmt: skip
-"""Every option that more than one command, function or file shares, by name."""
+"""Every option that several commands, functions or files share, by name."""
 _Given: Any = make_dataclass("_Given", [(name, Any, None) for name in SETTINGS], frozen=True)
 
 
@@ -484,15 +484,15 @@ class Choices(_Given):
         return {name: value for name, value in values.items() if value is not None}
 
     def over(self, asked: Mapping[str, Any]) -> dict[str, Any]:
-        """These in the place of what an input asks for; another policy leaves the limits on its own behind."""
+        """The input's settings, replaced by these; a new policy discards the limits of the input's policy."""
         given = self.given()
         left = left_behind(given)
         return {name: value for name, value in asked.items() if name not in left} | given
 
     def settings(self, asked: Mapping[str, Any], pace: Pace, source: str = "", *, by: str = "") -> Settings:
-        """The settings that these make of what an input asks for, checked; a deadline in minutes is a step by `pace`.
+        """The input's settings, replaced by these and checked; `pace` converts a deadline in minutes to a step.
 
-        `by`: the input that asks. Raises PlanError, naming `source`, and UsageError.
+        `by`: name of the input. Raises PlanError, naming `source`, and UsageError.
         """
         said = self.over(asked)
         if "deadline" in said:
@@ -500,7 +500,7 @@ class Choices(_Given):
         made = Settings(**said)
         try:
             made.check(source)
-        except PlanError:  # is it the input alone that is wrong?
+        except PlanError:  # If the input alone is wrong, the message names the input.
             alone = dict(asked) | ({"deadline": said.get("deadline")} if "deadline" in asked else {})
             Settings(**alone).check(by)
             raise
@@ -508,5 +508,5 @@ class Choices(_Given):
 
 
 def left_behind(given: Mapping[str, Any]) -> tuple[str, ...]:
-    """Settings that do not outlast another choice of these."""
+    """Settings that a new choice of these discards."""
     return tuple(name for chosen, group in GROUPS.items() if chosen in given for name in group)

@@ -1,6 +1,4 @@
-"""The commands that answer questions about a map and a team: `evaluate`, `compare`, `front`, `size`, `studio`, and
-those that place robots and threats on it: `starts`, `threats`.
-"""
+"""The commands about a map and a team: `evaluate`, `compare`, `front`, `size`, `studio`, `starts`, `threats`."""
 
 from __future__ import annotations
 
@@ -89,7 +87,7 @@ def evaluate(source: INPUT, /, given: Given) -> int:
     told: list[str] = []
 
     def first(world: World) -> None:
-        """Print the notes of the map's reader before anything takes long."""
+        """Print the notes of the map's reader before the work starts."""
         check_asked(world, **asked)
         told.extend(world.notes)
         say(told)
@@ -102,7 +100,7 @@ def evaluate(source: INPUT, /, given: Given) -> int:
     def show_soon(found: Evaluation) -> None:
         nonlocal earlier
         so_far = report(found, given.theory, bounds=False)
-        with progress.paused(), suppress(BrokenPipeError):  # the end of the command reports a reader that has gone
+        with progress.paused(), suppress(BrokenPipeError):  # a closed pipe is reported at the end of the command
             show(so_far, as_json=False, earlier=earlier)
         earlier = so_far
 
@@ -171,7 +169,7 @@ def compare(
 
 
 def _side(name: str, source: str, plan: Path | None, given: Given) -> tuple[Side, tuple[str, ...]]:
-    """One of the two of `compare`, and notes; errors say which."""
+    """One side of `compare`, and notes; errors name the side."""
     from analysis.comparison import make_side
 
     try:
@@ -191,7 +189,7 @@ def _task(given: Given, source: str) -> Task:
 
 
 def _found(search: Callable[..., Answer]) -> Any:
-    """The answer of a search, whose progress is shown."""
+    """The result of a search, with a progress display."""
     from analysis.utils.progress import show_progress
 
     with show_progress() as progress:
@@ -266,7 +264,7 @@ def front(source: INPUT, /, given: Given) -> int:
     json=OPTIONS["json"],
 )  # fmt: skip
 def size(source: INPUT, /, given: Given) -> int:
-    """The smallest team with a given expected coverage, or a given chance of it.
+    """The smallest team with a given expected coverage, or a given probability of it.
 
     A team is enough if the whole interval is at or above the target, and not enough if it is below. With --deadline the
     coverage at that step decides. The exit status is 0 if no team is enough.
@@ -290,9 +288,9 @@ SUFFIX = ".yaml"
     out="Scenario file (.yaml) that Save writes (default: INPUT-studio.yaml).",
 )  # fmt: skip
 def studio(source: INPUT, /, given: Given) -> int:
-    """A local page to draw threats, obstacles and starts, with the answer beside; Ctrl-C ends it.
+    """A local page to draw threats, obstacles and starts, with the answer; Ctrl-C ends it.
 
-    The page is served on this machine only, to whoever opens the printed address (needs the extra `studio`).
+    The page is served on this machine only, at the printed address (needs the extra `studio`).
     """
     try:
         import tornado  # noqa: F401

@@ -30,11 +30,11 @@ IN_ORDER = (
 )  # fmt: skip
 """Commands, as `--help` lists them."""
 ALL, NO_CACHE_OPTION = "--help-all", "--no-cache"
-"""Of every command, and of nothing that a command knows of."""
+"""Options of every command, handled before the command runs."""
 
 
 def make_app(everything: bool) -> App:
-    """The command line; `everything`: its help lists the rare options too."""
+    """The command line; `everything`: its help also lists the rare options."""
     made = App(
         name="mrac-jax",
         help="How much of a dangerous area will a team of robots cover before it is lost, and how sure are we?",
@@ -62,7 +62,7 @@ LEFT = {
     "--metrics": "left with release 0.4; docs/value.md has the figures of every field",
     **dict.fromkeys(("--luck", "--mode"), PER_VISIT),
 }
-"""Commands and options of older releases that are gone, and where they are."""
+"""Commands and options of older releases that were removed, and their replacements."""
 
 
 def _as_threats(words: list[str], action: str) -> list[str]:
@@ -91,11 +91,11 @@ RENAMED_COMMANDS: dict[str, tuple[str, Callable[[list[str]], list[str]]]] = {
     "recover": ("inspect --repair", _as_repair),
     "reproduce": ("check --paper", lambda words: ["check", "--paper", *words]),
 }
-"""Commands of release 0.3: the new one, and how the words after it are spelt there."""
+"""Commands of release 0.3: the new command, and the function that converts the words after it."""
 
 
 def _new_command(words: list[str]) -> list[str]:
-    """The command line with today's command, after one line that names it; `--remove` and `--add` alone mean 1."""
+    """The words with today's command, after one line that names it; `--remove` and `--add` alone mean 1."""
     old = words[0] if words else ""
     if old in RENAMED_COMMANDS and not {"--help", "-h", ALL} & set(words):
         new, rewrite = RENAMED_COMMANDS[old]
@@ -113,14 +113,14 @@ def _new_command(words: list[str]) -> list[str]:
 
 
 def _missing(error: MissingArgumentError) -> str:
-    """What a command needs, in words: something to work on, or the value of an option."""
+    """Text of a missing argument: an input, or the value of an option."""
     name, command = error.argument.name if error.argument else "", " ".join(error.command_chain or ("mrac-jax",))
     wanted = {"INPUT": "an INPUT, e.g. example:paper", "A": "A, an INPUT, e.g. example:paper"}.get(name, name)
     return f"{command} needs {wanted if name.isupper() else f'a value after {error.keyword or name}'}"
 
 
 def _unknown(error: UnknownOptionError) -> str:
-    """The line for an option that a command does not have: what is meant, if need be another command's option."""
+    """The message for an unknown option, with the closest option of this or another command."""
     given, command = (error.token.keyword or error.token.value).split("=")[0], " ".join(error.command_chain or ())
     if given in LEFT:
         return f"{given}: {LEFT[given]}"
@@ -134,7 +134,7 @@ def _unknown(error: UnknownOptionError) -> str:
 
 
 def _new_option(word: str) -> str:
-    """A word of the command line, an option of release 0.3 under today's name, with one line that gives it."""
+    """A word of the command line; an option of release 0.3 gets today's name, after one line that names it."""
     name, *value = word.split("=", 1)
     start, last = ("--b.", name[4:]) if name.startswith("--b.") else ("--", name[2:])
     new = RENAMED.get(last.replace("-", "_")) if name.startswith("--") else None
@@ -185,11 +185,11 @@ def _run(arguments: Sequence[str] | None, other: App | None) -> int:
         line = _missing(error)
     except UnknownOptionError as error:
         line = _unknown(error)
-    except CycloptsError as error:  # which wraps the InputError of an option's converter, a ValueError
+    except CycloptsError as error:  # it wraps the InputError of an option's converter, a ValueError
         line = " ".join(str(error.__cause__ if isinstance(error.__cause__, InputError) else error).split())
     except InputError as error:
         line = str(error)
-    except BrokenPipeError:  # the reader has gone, as `head` does: nothing more to say
+    except BrokenPipeError:  # the reader closed the pipe, as `head` does
         sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115
         return DONE
     except KeyboardInterrupt:

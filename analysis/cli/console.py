@@ -1,4 +1,4 @@
-"""Where the command line writes, what it says while it works, and how every command ends."""
+"""Output of the command line: console, file checks, progress, interrupts, and the end of every command."""
 
 from __future__ import annotations
 
@@ -31,23 +31,21 @@ if TYPE_CHECKING:
     from planner.world.world import World
 
 
-# Where the command line writes, and how every command ends: tables or JSON, files written, an exit status.
-
-# Where the command line writes: results to standard output, notes to standard error, files checked beforehand.
+# Results go to standard output, notes to standard error. Output files are checked before any work.
 
 COMMAND: ContextVar[tuple[str, ...]] = ContextVar("command", default=())
-"""The words of the command line that is being run, without the program's name."""
+"""The words of the command line that runs, without the program's name."""
 PIPE_WIDTH = 110
-"""Columns of tables when neither a terminal nor COLUMNS says how many there are."""
+"""Width of tables in columns if neither a terminal nor COLUMNS defines it."""
 
 
 def command_line() -> str:
-    """The command that is being run, as it would be typed."""
+    """The command that runs, as it would be typed."""
     return shlex.join(["mrac-jax", *COMMAND.get()])
 
 
 def check_streams() -> None:
-    """Raise UsageError without a standard output; print what the terminal cannot show as escapes."""
+    """Raise UsageError without a standard output; print characters that the terminal cannot show as escapes."""
     if sys.stdout is None:
         raise UsageError("standard output is closed", expected="somewhere to print the answer")
     for stream in (sys.stdout, sys.stderr):
@@ -64,7 +62,7 @@ def output_console() -> Any:
 
 
 def check_folder(out: Path | None) -> None:
-    """Refuse an output folder that cannot be one before any work is done."""
+    """Refuse an invalid output folder before any work is done."""
     if out is None:
         return
     if out.exists() and not out.is_dir():
@@ -79,9 +77,9 @@ def check_folder(out: Path | None) -> None:
 
 
 def may_replace(out: Path | None, force: bool) -> bool:
-    """Whether nothing is there, or it may be replaced: by `force`, or as a person at a terminal says.
+    """True if the path is free, or may be replaced: by `force`, or as the user at a terminal answers.
 
-    Raises UsageError where nobody is asked.
+    Raises UsageError without a terminal.
     """
     if out is None or force or not out.exists():
         return True
@@ -99,9 +97,9 @@ def may_replace(out: Path | None, force: bool) -> bool:
 def check_files(
     source: str | None, *outputs: Path | None, suffix: str = "", beside: tuple[Path | None, ...] = ()
 ) -> None:
-    """Refuse output files that cannot be written, that are read, or that are each other, before any work is done.
+    """Refuse output files that cannot be written, that are inputs, or that coincide, before any work is done.
 
-    Read are INPUT, files `beside` it, and what scenarios among them name.
+    Inputs are INPUT, the files `beside`, and the files that scenarios among them name.
     """
     from analysis.inputs import read_files
 
@@ -118,29 +116,26 @@ def check_files(
         if suffix and out.suffix != suffix:
             raise UsageError(f"{out} does not end in {suffix}", expected=f"a {suffix} file")
         if out.resolve() in taken:
-            raise UsageError(f"{out} is an input, or is written twice", expected="a file of its own")
+            raise UsageError(f"{out} is an input, or is written twice", expected="another file")
         taken.append(out.resolve())
 
 
-# Interrupts that are not lost.
+# Interrupts that would be lost.
 #
-# Python raises KeyboardInterrupt between any two steps of the main thread. Where that is within a callback of the
-# garbage
-# collector (JAX registers one that runs at every collection), within a `__del__`, or in one that compiled code calls,
-# nobody can catch it: it goes to `sys.unraisablehook`, which prints it, and the program runs on. Here it is sent
-# again, a
-# moment later and as often as it takes, until it is raised where it ends what runs. Native code that looks for a
-# fitting
-# overload makes a TypeError of it: so whoever gets an error can ask whether an interrupt came before.
+# Python raises KeyboardInterrupt between any two steps of the main thread. Inside a callback of the garbage collector
+# (JAX registers one that runs at every collection), inside a `__del__`, or in a callback of compiled code, no caller
+# can catch it: it goes to `sys.unraisablehook`, which prints it, and the program runs on. This code sends it again, a
+# moment later and repeatedly, until it is raised where it ends the work. Native code that resolves overloads turns it
+# into a TypeError: a handler of such an error can therefore ask whether an interrupt came before.
 
 AGAIN_SECONDS = 0.02
 
 
 def keep_interrupts(own: signal.Signals) -> threading.Event:
-    """From now on, send interrupts again that were raised where nothing can catch them, in place of printing them.
+    """From now on, send uncatchable interrupts again instead of printing them.
 
-    SIGTERM, which all threads block, is one too; SIGINT is none where the process was told to ignore it. Both are sent
-    by the signal `own`. What is returned is set once one came.
+    SIGTERM, which all threads block, counts as an interrupt; SIGINT does not if the process ignores it. Both are sent
+    again as the signal `own`. The returned event is set after the first one.
     """
     others, came = sys.unraisablehook, threading.Event()
 
@@ -170,7 +165,7 @@ def keep_interrupts(own: signal.Signals) -> threading.Event:
     return came
 
 
-# How every command ends: the answer printed as tables or as JSON, files written, an exit status.
+# The end of every command: the answer as tables or as JSON, files, an exit status.
 
 DONE, CHECK_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -187,15 +182,15 @@ def deliver(
     beside: Iterable[Path | None] = (),
     earlier: Report | None = None,
 ) -> int:
-    """Print `answer`, save it to `out`, say the notes and what was written; returns the exit status.
+    """Print `answer`, save it to `out`, print the notes and the files written; returns the exit status.
 
-    It is saved even if nobody reads on what is printed (BrokenPipeError, raised afterwards).
+    It is saved even if the reader of standard output closed the pipe (BrokenPipeError, raised afterwards).
 
     Args:
-        said: its report, if it is not the one that everybody gets.
-        command: what made it, for the page, if not the command line that is being run.
-        source, beside: the INPUT, and files that were read beside it: they are not replaced.
-        earlier: its report of before, which is printed already.
+        said: its report, if it differs from the usual one.
+        command: the command for the page, if it is not the command line that runs.
+        source, beside: the INPUT, and other files that were read: they are not replaced.
+        earlier: an earlier report of it that is already printed.
     """
     from analysis.inputs import read_files
     from analysis.report.answer import report_of, save_report
@@ -232,12 +227,12 @@ def print_json(content: object) -> None:
     print(json.dumps(content, allow_nan=False), flush=True)  # noqa: T201
 
 
-# What the commands say while they work, each of what it counts; how that is shown: `analysis.utils.progress`.
+# Progress of the commands; the display is in `analysis.utils.progress`.
 
 
 @contextmanager
 def show_pool_progress(things: str, policies: Iterable[Policy]) -> Iterator[Watch]:
-    """What processes do that roll out by these policies; `things`: what is counted."""
+    """Text of the work of processes that roll out these policies; `things`: the unit that is counted."""
     from analysis.utils.progress import compiling_elsewhere, show_progress
 
     with compiling_elsewhere(policies), show_progress(things) as watch:
@@ -247,7 +242,7 @@ def show_pool_progress(things: str, policies: Iterable[Policy]) -> Iterator[Watc
 def load_or_make_plan(
     asked: Asked, plan_file: Path | None = None, state: Path | None = None, **how: Any
 ) -> tuple[World, Plan, tuple[str, ...]]:
-    """`analysis.inputs.load_or_make_plan`, watched."""
+    """`analysis.inputs.load_or_make_plan` with a progress display."""
     from analysis.estimators.racing import plan_best
     from analysis.inputs import load_or_make_plan as load
     from analysis.utils.progress import show_progress
@@ -257,11 +252,11 @@ def load_or_make_plan(
         return load(asked, plan_file, state, find_best=plan_best, doing=watch.doing, **how)
 
 
-# What `mrac-jax plan` prints of a plan: it in a line, and a row for each robot.
+# The output of `mrac-jax plan`: a line about the plan, and a row for each robot.
 
 
 def print_plan(made: Plan, world: World, console: Console) -> None:
-    """Print it; what a robot survives is its nominal path."""
+    """Print the plan; survival probabilities are those of the nominal paths."""
     from analysis.theory.exact import open_loop_exact
     from analysis.utils.tables import failure_text, make_table, plan_text, span_text
     from planner.formatting import counted, in_percent

@@ -81,7 +81,7 @@ def plan(source: INPUT, /, given: Given) -> int:
 
 
 WAYS = ("qgc", "nav2", "geojson", "kml", "gpx", "csv", "geotiff")
-"""Names of `analysis.exporting.FORMATS`, which `--help` has no time to import."""
+"""Names of `analysis.exporting.FORMATS`, which is too slow to import for `--help`."""
 
 
 @command(
@@ -168,7 +168,7 @@ def drive(source: INPUT, /, given: Given) -> int:
 
 
 def _lines(stream: BinaryIO) -> Iterator[str]:
-    """Lines, each as far as it is read: of a longer one the rest is no line of its own."""
+    """Lines, cut at a maximum length; the rest of a longer line is discarded."""
     from analysis.mission_protocol import LONGEST
 
     while line := stream.readline(LONGEST + 2):
@@ -189,7 +189,7 @@ def _tell(lines: Iterable[dict[str, Any]], pace: Pace) -> None:
 
 RECORDING = "Recording"
 EVALUATED = 4096
-"""Rollouts that are evaluated by default."""
+"""Default number of evaluated rollouts."""
 
 
 @command(
@@ -217,7 +217,7 @@ EVALUATED = 4096
 def record(source: INPUT, /, given: Given) -> int:
     """Rollouts as an MCAP file for Foxglove, Lichtblick and Rerun.
 
-    The file holds everything that `inspect --replay` needs. A layout for Foxglove and Lichtblick is written beside it,
+    The file holds everything that `inspect --replay` needs. A layout for Foxglove and Lichtblick is written next to it,
     as NAME.layout.json.
     """
     from analysis.recording.pictures import save_pictures
@@ -308,7 +308,7 @@ def check_outputs(
     animation: Path | None,
     cut_to: Path | None,
 ) -> None:
-    """Refuse files that cannot be written, have other names than they should, or are an input, before any work."""
+    """Refuse files that cannot be written, have a wrong suffix, or are an input, before any work."""
     for one, suffix in ((out, SUFFIX), (picture, ".png"), (animation, ".gif")):
         if one is not None:
             check_name(one, suffix)

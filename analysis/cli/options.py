@@ -1,4 +1,4 @@
-"""Options of the command line: values, taken exactly as meant or refused in one line, and commands with their options.
+"""Options of the command line: converters of their values, and commands with their options.
 
 A command is a function with `@command(group, names of options, ...)`: `planner.settings.OPTIONS` has the type, the
 default, the help and the group of each, which the command may replace by its own.
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from analysis.inputs import Asked
     from analysis.sampling import RolloutChoices
 
-# Values: every one is taken exactly as meant, or refused in one line.
+# Values: a converter accepts a value without rounding or guessing, or refuses it in one line.
 
 STEPS = ("--max-steps", "--b.max-steps")
-"""Options whose whole number is one of steps: minutes are none."""
+"""Options that are a number of steps and cannot be a time."""
 
 
 def whole(kind: Any, tokens: Sequence[Token]) -> int:
@@ -112,12 +112,12 @@ def exactness(kind: Any, tokens: Sequence[Token]) -> str | float:
 
 
 def verbatim(kind: Any, tokens: Sequence[Token]) -> str:
-    """The text itself, whatever it spells."""
+    """The text itself: no conversion."""
     return tokens[0].value
 
 
 def verbatims(kind: Any, tokens: Sequence[Token]) -> list[str]:
-    """The texts themselves, of an option that may be given more than once."""
+    """The texts themselves, of an option that may be repeated."""
     return [token.value for token in tokens]
 
 
@@ -176,7 +176,7 @@ ORDER = (GOAL, TEAM, "Planning", ROLLOUTS, SECOND, SURVEY, OUTPUT)
 
 @cache
 def _group(name: str, place: int) -> Group:
-    """The group of that name, of which cyclopts wants no second one."""
+    """The group of that name; cyclopts needs one object per group."""
     return Group(name, sort_key=place)
 
 
@@ -212,7 +212,7 @@ class Given:
 
     @property
     def choices(self) -> Choices:
-        """The planner's settings. A deadline beside rollouts is theirs, not one of the plan."""
+        """The planner's settings. A deadline given with rollouts is theirs, not the plan's."""
         theirs = ("deadline",) if "exact" in self.values else ()
         return Choices(**{name: self.values[name] for name in SETTINGS if name in self.values and name not in theirs})
 
@@ -224,7 +224,7 @@ class Given:
         return Asked(source, self.choices, **{name: self.values[name] for name in team})
 
     def rolled(self, usual: int = 4096, **more: Any) -> RolloutChoices:
-        """The rollouts, checked; `usual`: how many by default. `more`: in the place of options."""
+        """The rollouts, checked; `usual`: default number. `more`: values that replace options."""
         from analysis.sampling import RolloutChoices
 
         known = RolloutChoices.__dataclass_fields__
@@ -242,7 +242,7 @@ class Given:
         return self.rolled(100_000, loop=self.loop or ("open" if external else "closed"), **amount)
 
     def words(self, source: str) -> list[str]:
-        """The words after `evaluate` that ask for the same input, team and settings."""
+        """The words after `evaluate` for the same input, team and settings."""
         team = {name: value for name, value in self.values.items() if name in OPTIONS and OPTIONS[name].group == TEAM}
         given = team | self.choices.given()
         if self.threat_checks != "every_visit":
@@ -254,9 +254,9 @@ class Given:
         return words
 
     def over(self, second: str) -> Given:
-        """The same, with the options whose names begin with `second` in the place of those without.
+        """The same, with the options of the prefix `second` in place of those without it.
 
-        Other starts or robots leave both of the first ones behind, another policy its limits.
+        Other starts or robots discard both of the first side; another policy discards its limits.
         """
         from planner.settings import left_behind
 
@@ -267,7 +267,7 @@ class Given:
 
 
 def _typed(value: Any) -> str:
-    """The value of an option as it is typed."""
+    """The value of an option as typed."""
     if isinstance(value, tuple):
         return ",".join(map(str, value))
     return exactly(value) if isinstance(value, float) else str(value)
@@ -287,7 +287,7 @@ class Command:
     options: dict[str, Setting]
 
     def bound(self, everything: bool) -> Callable[..., int]:
-        """The function with its options as arguments, for cyclopts; `everything`: its help has the rare ones too."""
+        """The function with its options as arguments, for cyclopts; `everything`: help includes the rare ones."""
 
         def call(*positional: Any, **given: Any) -> int:
             defaults = {name: option.default for name, option in self.options.items()}
@@ -297,7 +297,7 @@ class Command:
         for name, option in self.options.items():
             spelt = f"--b.{name[2:]}" if option.group == SECOND else f"--{name}"
             shown = _annotation(option, spelt.replace("_", "-"), everything or not option.rare)
-            default = Argument.empty if option.default is ... else option.default  # one that has to be given
+            default = Argument.empty if option.default is ... else option.default  # a required option
             arguments.append(Argument(name, Argument.KEYWORD_ONLY, default=default, annotation=shown))
         call.__signature__ = Signature(arguments, return_annotation=int)  # type: ignore[attr-defined]
         call.__doc__, call.__module__ = self.function.__doc__, self.function.__module__
@@ -333,18 +333,18 @@ def option(
 
 
 def of(name: str, **change: Any) -> Setting:
-    """An option of the table with something else about it."""
+    """An option of the table with some attributes replaced."""
     return replace(OPTIONS[name], **change)
 
 
 THE_TEAM = "robots starts cell_size step_seconds speed turn"
 PLANNING = " ".join(name for name, setting in SETTINGS.items() if name != "deadline" and not setting.found)
-"""Settings of the planner beside rollouts, whose deadline is theirs."""
+"""Settings of the planner for commands with rollouts. A deadline is that of the rollouts."""
 WITHOUT_POLICY = " ".join(name for name in PLANNING.split() if name not in sum(GROUPS.values(), ()))
 TAKING_OVER = " ".join(name for name in PLANNING.split() if name not in GROUPS["plan_for"])
 ONE_PLAN = "loop rollouts precision deadline seed engine exact threat_checks"
 COMPARED = "rollouts deadline seed engine threat_checks exact"
-"""Rollouts of everything that is compared, on the same random numbers."""
+"""Rollouts of compared plans, on common random numbers."""
 ANY_POLICY = of("policy", words=(*OPTIONS["policy"].words, BEST))
 EARLY = of("deadline", group=ROLLOUTS, help="Also report coverage at this step or time: 450, 45min, 1h30min, 90s.")
-"""A deadline beside rollouts: the mission of the plan goes on."""
+"""A deadline of the rollouts: it does not end the mission of the plan."""

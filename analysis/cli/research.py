@@ -18,7 +18,7 @@ from planner.settings import OPTIONS, OUTPUT, SURVEY
 
 RESEARCH = "Research"
 FIGURES = ("visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive")
-"""Those of `analysis.sweeps.results`, which is too heavy to import for `--help`."""
+"""Names of `analysis.sweeps.results`, which is too slow to import for `--help`."""
 
 
 @command(
@@ -232,7 +232,7 @@ def _check_paper(given: Given) -> int:
     cell_size=of("cell_size", group=SURVEY, help="With --map: side of a cell in metres; the map is coarsened."),
 )  # fmt: skip
 def generate(out: file("OUT", "World file (.npz) to write."), /, given: Given) -> int:  # type: ignore[valid-type]
-    """A random world of the paper, or such threats on a map."""
+    """A random world of the paper, or a map with random threats."""
     from analysis.inputs import generate_world
 
     check_files(given.map, out, suffix=".npz")

@@ -1,1 +1,1 @@
-"""The closed loop in JAX: a book of decisions, and lanes that jump from one to the next (README.md)."""
+"""The closed loop in JAX: a table of decisions (the book), and rollouts (lanes) that jump between them (README.md)."""

@@ -1,10 +1,10 @@
-"""The book of a closed loop: what robots do between two decisions, found once on the host and kept as arrays.
+"""The book of a closed loop: the table of all decisions, computed once on the host and kept as arrays.
 
-A decision is local: how a set of cells is covered from a cell, how a cell is reached, into which parts a set falls.
-Histories are many, decisions are few: a million rollouts hardly ever have more than some thousand. Each is an *entry*
-of the book. Entries that are *walks* have rows: row `base + o` of `prefix` holds the cells entered by their move o, as
-bits. Tables only grow. Axis letters: `A` accessible cells, `W` words of bits, `N` entries, `R` rows of all walks, `D`
-dangerous visits of all walks, `P` pieces, `H` buckets of the hash table. NumPy and Numba alone.
+A decision is local: the order in which a set of cells is covered from a cell, the path to a cell, the parts of a set.
+A million rollouts rarely have more than a few thousand different decisions. Each is an *entry* of the book. Entries
+that are *walks* have rows: row `base + o` of `prefix` holds the cells entered by their move o, as bits. Tables only
+grow. Axis letters: `A` accessible cells, `W` words of bits, `N` entries, `R` rows of all walks, `D`
+dangerous visits of all walks, `P` pieces, `H` buckets of the hash table. Only NumPy and Numba are used.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ from planner.simulator.jit import compiled
 
 WORD_BITS = 32
 SPLIT, HALVE, HOMEWARD = 2**32 - 1, 2**32 - 2, 2**32 - 3
-"""In the place of the cell that a walk begins at: the parts of a set; the same, bisected if it is one part; the way
-from the set's one cell to a base of the first set of bases, of the next one a number less."""
+"""Salts in place of the first cell of a walk: the parts of a set; its parts, bisected if there is only one; the path
+from the set's one cell to a base of the first set of bases (of each further set a number less)."""
 NOWHERE = 0
-"""The entry of no walk: of robots that stay where they are."""
+"""The entry of robots that do not move."""
 BASE, LENGTH, END, FIRST, COUNT, PIECE, PARTS, BISECTED, COLUMNS = range(9)
 """Columns of `entries`: first row, moves, last cell; first and number of its dangerous visits; of a split: its first
-piece, how many there are, and whether one part was bisected."""
+piece, the number of pieces, and whether one part was bisected."""
 CELLS = 2**31
-"""More than any cell: what a walk begins at is below."""
+"""Above every cell index: the first cell of a walk is below."""
 NEVER = 2**30
 """Later than every step, and more than every cost."""
 BUCKET = 4
-"""Entries that a bucket of the hash table has room for: as many tags, then their entries."""
+"""Capacity of a bucket of the hash table: as many tags, then their entries."""
 WORDS = (5, 10, 13, 16, 20, 26, 32, 40, 52, 64, 80, 96, 128, 160, 200, 256, 320)
 """Words of bits are padded to one of these, so that programs are compiled for few sizes."""
 ENTRIES, ROOM = 2**12, ((WORDS[7], 2**17), (WORDS[1], 2**16), (0, 2**15))
-"""Entries that there is room for at first, and rows of walks, from so many words on: an ordinary mission needs no more,
-so that its program is compiled once."""
+"""Initial capacity: entries, and rows of walks by least number of words. It suffices for usual missions, so that their
+program is compiled once."""
 MOST_BYTES = 2**31
-"""Memory that a book may take up."""
+"""Memory limit of a book in bytes."""
 M1, M2, M3 = np.uint32(0x9E3779B1), np.uint32(0x85EBCA77), np.uint32(0xC2B2AE3D)
 
 
 def mixed(words, salt):  # type: ignore[no-untyped-def]
     """(bucket, tag), uint32 `[..]`, of sets of cells `[.., W]` and salts `[..]`, uint32; NumPy and JAX alike.
 
-    The tag is never 0. Equal tags are told apart by the sets themselves.
+    The tag is never 0. A comparison of the sets resolves equal tags.
     """
     place = np.arange(1, words.shape[-1] + 1, dtype=np.uint32)
     with np.errstate(over="ignore"):
@@ -61,9 +61,9 @@ def mixed(words, salt):  # type: ignore[no-untyped-def]
 
 @compiled
 def _cover(here, todo, sweep, cost, hop, out, ends):  # type: ignore[no-untyped-def]
-    """Algorithm 3: write the cells entered from `here` to cover `todo` (bool, used up) into `out`; how many.
+    """Algorithm 3: write the cells entered from `here` to cover `todo` (bool, used up) into `out`; returns the count.
 
-    `ends`: bool, whether a leg ends there. Returns NONE where `out` has no room for them.
+    `ends`: bool, whether a leg ends there. Returns NONE if `out` is too short.
     """
     size, left = 0, 0
     for cell in range(len(todo)):
@@ -109,7 +109,7 @@ def _need(here, cells, ends, home, rows):  # type: ignore[no-untyped-def]
 
 @compiled
 def _reach(cells, cost, hop, target, steps):  # type: ignore[no-untyped-def]
-    """Of a piece: the cell that is the cheapest to reach from each cell, and the moves of the way to it; NONE: none."""
+    """For a piece: its cheapest cell to reach from each cell, and the moves of the path to it; NONE: unreachable."""
     size = len(cost)
     least = np.full(size, 2**62, dtype=np.int64)
     target[:size] = -1
@@ -127,7 +127,7 @@ def _reach(cells, cost, hop, target, steps):  # type: ignore[no-untyped-def]
                 break
             way[count] = here
             count += 1
-            # All cells of a way go to its end: another cell of the piece that is as near is of a higher index.
+            # All cells of a path go to its end: another cell of the piece at the same cost has a higher index.
             here = hop[target[here], here]
         for place in range(count - 1, -1, -1):
             steps[way[place]] = steps[hop[target[way[place]], way[place]]] + 1
@@ -141,7 +141,7 @@ class Grown:
         self.used = 0
 
     def add(self, values: NDArray) -> int:
-        """Append the rows; where they begin."""
+        """Append the rows; returns the index of the first."""
         begin = self.used
         while begin + len(values) > len(self.rows):
             self.rows = np.concatenate([self.rows, np.zeros_like(self.rows)])
@@ -155,8 +155,8 @@ class HostBook:
 
     Attributes:
         cells, words: A, W. entries: int32 `[N, COLUMNS]`; sets, salts: uint32 `[N, W]`, `[N]`, the keys of entries.
-        prefix: uint32 `[R, W]`; cell_at: int32 `[R]`, where a robot is, NONE where it waits on its way.
-        shift: costs of pieces hold their level above so many bits.
+        prefix: uint32 `[R, W]`; cell_at: int32 `[R]`, the robot's cell, NONE where it waits on its path.
+        shift: number of bits below the level in the costs of pieces.
         sums: int64 `[D]`, hazard along the walk up to and with each dangerous visit, a zero before the first; at: int32
             `[D]`, the move of each.
         bits: uint32 `[P, W]`, pieces: sets of cells that are or were areas, those of the plan first. cost: int32
@@ -214,7 +214,7 @@ class HostBook:
         return np.flatnonzero(np.unpackbits(row.astype("<u4").view(np.uint8), bitorder="little"))
 
     def look_up(self, salt: int, row: NDArray[np.uint32]) -> int:
-        """The entry of a set and a salt (a cell, SPLIT or HALVE), which is found and added if it is new."""
+        """The entry of a set and a salt (a cell, SPLIT or HALVE); a new one is computed and added."""
         bucket, tag = mixed(row, np.uint32(salt))
         there = self.buckets[int(bucket) & (len(self.buckets) - 1)]
         for entry in there[BUCKET:][there[:BUCKET] == tag].tolist():
@@ -233,7 +233,7 @@ class HostBook:
 
     def _put(self, entry: int, bucket: int, tag: int) -> None:
         there = self.buckets[bucket & (len(self.buckets) - 1)]
-        # Two sets with one tag in one bucket would hide each other: a larger table parts them.
+        # Two sets with one tag in one bucket would hide each other: a larger table separates them.
         if (there[:BUCKET] > 0).all() or (there[:BUCKET] == tag).any():
             self.buckets = np.zeros((2 * len(self.buckets), 2 * BUCKET), dtype=np.uint32)
             keyed = np.flatnonzero(self.sets.rows[: self.sets.used].any(axis=1))
@@ -252,7 +252,7 @@ class HostBook:
         return np.array(way, dtype=np.int64)
 
     def path(self, here: int, cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], None, NDArray[np.bool_]]:
-        """The cells entered from `here` to cover these, and where legs end; to reach one is to cover it."""
+        """The cells entered from `here` to cover these, and the ends of legs; a cell that is reached is covered."""
         t = self.loop.tables
         while True:
             todo = np.zeros(self.cells, dtype=np.bool_)
@@ -272,7 +272,7 @@ class HostBook:
     ) -> int:
         """The entry of a walk from `here` through the cells, without a key.
 
-        waits: bool `[M]`, where it stays and enters no cell; None: nowhere. ends: where legs end; None: at the end.
+        waits: bool `[M]`, moves that stay and enter no cell; None: none. ends: ends of legs; None: the last move.
         """
         entered = cells if waits is None else np.where(waits, NONE, cells)
         rows = np.zeros((len(entered) + 1, self.words), dtype=np.uint32)
@@ -292,7 +292,7 @@ class HostBook:
         return self._add_entry(base, len(entered), end, first, len(moves))
 
     def add_visits(self, moves: NDArray[np.int64], exposure: NDArray[np.int64]) -> int:
-        """Append the dangerous visits of a walk; where they begin."""
+        """Append the dangerous visits of a walk; returns the index of the first."""
         self.at.add(np.append(0, moves))
         return self.sums.add(np.append(0, np.cumsum(exposure))) + 1
 
@@ -303,7 +303,7 @@ class HostBook:
         return self.entries.add(np.array([[*columns, *[0] * (COLUMNS - len(columns))]]))
 
     def add_milestones(self, length: int, marks: NDArray[np.int64], exposure: NDArray[np.int64]) -> int:
-        """An entry that tells from a threshold which of the rising marks is reached; `length` if none is."""
+        """An entry that finds the first of the rising marks that a threshold reaches; `length` if none."""
         return self._add_entry(0, length, 0, self.add_visits(marks, exposure), len(marks))
 
     def _check_room(self) -> None:

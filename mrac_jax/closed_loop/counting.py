@@ -1,4 +1,4 @@
-"""Counts of rollouts from the walks that their lanes have logged.
+"""Counts of rollouts from the logged walks of their lanes.
 
 On the host by cell, by step and by rollout; on the device the sums by cell of a gradient.
 """
@@ -27,7 +27,7 @@ MOVES = FINAL - 1
 
 
 class Begun(NamedTuple):
-    """What rollouts that begin at each snapshot have done by then. Axis `M`, snapshots.
+    """The history of rollouts that begin at each snapshot. Axis `M`, snapshots.
 
     Attributes:
         first, safe: int32 `[M, A]`, steps of the first visit and the first survived one, NO_STEP if none.
@@ -41,11 +41,11 @@ class Begun(NamedTuple):
 
 
 def nothing_begun(loop: ClosedLoop, snapshots: int) -> Begun:
-    """Of rollouts that have entered no cell since they began."""
+    """History of rollouts that have entered no cell."""
     size, (visited, survived) = (snapshots, len(loop.cells)), known_cells(loop)
     first, safe = np.full(size, NO_STEP, np.int32), np.full(size, NO_STEP, np.int32)
     passes = np.zeros(size, np.uint8)
-    # What was covered before a mission's state is not counted here: `tally_from` adds it.
+    # Cells covered before a mission's state are not counted here: `tally_from` adds them.
     first[:, np.searchsorted(loop.cells, visited)] = -1
     safe[:, np.searchsorted(loop.cells, survived)] = -1
     passes[:, np.searchsorted(loop.cells, survived)] = 1
@@ -159,7 +159,7 @@ class Counting:
 
 
 def follow_nominal(book: HostBook, begun: Begun, rows: NDArray[np.uint32]) -> None:
-    """Write into `begun` what the logs of lanes say, lane m being halted at snapshot m."""
+    """Write the logs of lanes into `begun`; lane m is halted at snapshot m."""
     begins, order = np.zeros(len(begun.first) + 1, np.int64), np.empty(len(rows), np.int64)
     _sort(rows, begins, order)
     stops, base = np.zeros(begun.first.shape[1], np.int64), book.entries.rows[:, BASE].copy()
@@ -175,16 +175,16 @@ def follow_nominal(book: HostBook, begun: Begun, rows: NDArray[np.uint32]) -> No
 
 
 def with_hazards(book: Book, p: jax.Array) -> tuple[Book, jax.Array]:
-    """The same decisions where visits destroy a robot with these chances, `[A]`; lanes begin at the first step.
+    """The same decisions with these probabilities `[A]` that a visit destroys a robot; lanes begin at the first step.
 
-    A cell that the book's map has as safe may be dangerous, so every move counts as a visit that may. Returns too
-    the cell that the move of each row enters, int32 `[R]`; A: none.
+    A cell that is safe in the book's map may be dangerous, so every move counts as a dangerous visit. Also returns the
+    cell that the move of each row enters, int32 `[R]`; A: none.
     """
     row, moves = jnp.arange(len(book.cell_at), dtype=jnp.int32), book.entries[:, LENGTH]
     begins = jnp.zeros(row.shape, bool).at[book.entries[:, BASE]].set(True)
     base = jax.lax.cummax(jnp.where(begins, row, 0))
     cell = jnp.where(begins | (book.cell_at < 0), len(p), book.cell_at)
-    with jax.enable_x64(True):  # of what is traced here alone
+    with jax.enable_x64(True):  # only for values traced here
         own = jnp.rint(-jnp.log1p(-p.astype(jnp.float64)) * UNIT).astype(jnp.int64)
         total = jnp.cumsum(jnp.append(own, 0)[cell])
         total = total - total[base]
@@ -196,7 +196,7 @@ def with_hazards(book: Book, p: jax.Array) -> tuple[Book, jax.Array]:
 
 
 def roll_out(book: Book, left: jax.Array, asked: jax.Array, log: Log | None) -> tuple[Lanes, Ended, Log | None]:
-    """Rollouts with these thresholds `[B, K, 2]`, as far as they are asked for and the book holds their decisions."""
+    """Rollouts with these thresholds `[B, K, 2]` where `asked`, until the book lacks a decision."""
     lanes = begin(book, left, jnp.arange(len(left), dtype=jnp.int32))[0]
     state = replace(lanes, mode=jnp.where(asked, lanes.mode, OFF)), log
     lanes, log = jax.lax.while_loop(
@@ -207,15 +207,15 @@ def roll_out(book: Book, left: jax.Array, asked: jax.Array, log: Log | None) -> 
 
 
 def scores(p: jax.Array, decisions: tuple[Book, jax.Array], left: jax.Array, asked: jax.Array) -> Any:
-    """Sums over rollouts of d log(chance of the rollout) / dp: `losses_c / p_c - passes_c / (1 - p_c)`.
+    """Sums over rollouts of d log(probability of the rollout) / dp: `losses_c / p_c - passes_c / (1 - p_c)`.
 
     decisions: of `with_hazards`. left, asked: as of `roll_out`.
 
-    Returns: how many rollouts; their cells visited; of the cells `[A]` the losses, the scores, and these times the
-    cells visited.
+    Returns: the number of rollouts; their cells visited; by cell `[A]` the losses, the scores, and the scores times
+    the cells visited.
     """
     book, cell = decisions
-    # An area is travelled to and covered at most once; robots that are recharged return some times more.
+    # An area is travelled to and covered at most once; robots that recharge return a few times more.
     room = len(left) * 2 * (book.first.slots.shape[1] + len(book.milestones))
     lanes, results, log = roll_out(book, left, asked, Log(jnp.zeros((room, 4), jnp.uint32), jnp.int32(0)))
     assert log is not None

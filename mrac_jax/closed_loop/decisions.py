@@ -12,11 +12,11 @@ from mrac_jax.closed_loop.book import HALVE, NEVER, PARTS, PIECE
 from mrac_jax.closed_loop.lanes import Book, Lanes, Log, at, entered, hold, look_up, one_cell, pick, walk
 from planner.simulator.codes import Outcome
 
-# Robots that return to base (SPEC section 19): when they turn back, what they can afford, and the end of a mission.
+# Robots that return to base (SPEC section 19): the turning point, reachable pieces, and the end of a mission.
 
 
 def moves_home(book: Book, robot: jax.Array, cell: jax.Array) -> jax.Array:
-    """Moves of robots' ways to a base from cells, of the same shape; below 0: there is none."""
+    """Moves of the robots' paths to a base from cells, of the same shape; below 0: no path."""
     assert book.homes is not None
     place = at(book.homes.of, robot) * book.homes.steps.shape[1] + cell
     return at(book.homes.steps.reshape(-1), place)
@@ -26,7 +26,7 @@ def turning(
     book: Book, robot: jax.Array, entry: jax.Array, since: jax.Array, until: jax.Array, moves: jax.Array,
     fate: jax.Array, waits: bool = False,
 ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
-    """(moves, fate) of walks `[S]` of robots with an area, which return to base as soon as they could not later on.
+    """(moves, fate) of walks `[S]` of robots with an area, which return to base before it gets out of range.
 
     `waits`: one of no moves takes a turn.
     """
@@ -49,7 +49,7 @@ def turning(
 
 
 def is_within_range(book: Book, place: jax.Array, robot: jax.Array, left: jax.Array) -> jax.Array:
-    """Whether robots `[B]` with so many moves left could return to base from pieces at these places `[B, n]`."""
+    """True for robots `[B]` that could return to base from the pieces `[B, n]` with the moves left."""
     steps, goal = at(book.steps.reshape(-1), place), at(book.target.reshape(-1), place)
     way = moves_home(book, jnp.broadcast_to(robot[:, None], place.shape), goal)
     return (way < 0) | (steps + way <= left[:, None])
@@ -58,7 +58,8 @@ def is_within_range(book: Book, place: jax.Array, robot: jax.Array, left: jax.Ar
 def all_return(book, lanes, log, runs, key):  # type: ignore[no-untyped-def]
     """Lanes whose mission is over before the next event: at the end of that step all robots return to base.
 
-    Each leaves its walk where it is; at the end of the step it sets out. Returns lanes, log, and which lanes these are.
+    Each leaves its walk at its present cell, and departs at the end of the step. Returns lanes, log, and a mask of
+    these lanes.
     """
     robots, stride = lanes.robots, ln.stride_of(book, lanes)
     step, K = jnp.minimum(key // stride, book.max_steps + 1), lanes.key.shape[1]
@@ -71,7 +72,7 @@ def all_return(book, lanes, log, runs, key):  # type: ignore[no-untyped-def]
     stuck = lanes.last + book.quiet
     asleep = ~moving & (step + (key % stride >= K) > stuck) & (stuck <= book.max_steps)
     may = runs & (lanes.over == 0)
-    # What has been visited by the last event was not complete before it.
+    # The cells visited by the last event were not complete before it.
     complete = (step > lanes.last) & covered(step - 1)
     over = may & (complete | asleep)
 
@@ -121,9 +122,9 @@ def all_return(book, lanes, log, runs, key):  # type: ignore[no-untyped-def]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Sharing:
-    """What comes of looking for an area to share, `[B]` each: whether there is one, and its owner; the split of its
-    unvisited cells and the walks of owner and helper to their parts; each -1: missing, then asked for; parts `[B, 2]`,
-    counted from the split's first."""
+    """Result of `Find Area To Share`, `[B]` each: whether there is an area, and its owner; the split of its unvisited
+    cells and the walks of owner and helper to their parts (-1: missing, then requested); parts `[B, 2]`, counted from
+    the split's first."""
 
     found: jax.Array
     owner: jax.Array
@@ -136,7 +137,7 @@ class Sharing:
 def find_to_share(
     book: Book, lanes: Lanes, helper: jax.Array, here: jax.Array, offset: jax.Array, afford: jax.Array
 ) -> Sharing:
-    """`Find Area To Share` for helpers in the cells `here`: of those near enough the least (level, cost, id)."""
+    """`Find Area To Share` for helpers in the cells `here`: the least (level, cost, id) of those close enough."""
     robots, flat = jnp.arange(lanes.key.shape[1], dtype=jnp.int32), book.cost.shape[1]
     doing, area = lanes.robots[:, :, ln.DOING], lanes.robots[:, :, ln.AREA]
     owns = (doing == ln.START) | (doing == ln.TRAVEL) | (doing == ln.COVER)
@@ -176,9 +177,9 @@ def find_to_share(
 
 
 def owner_sets_out(book, lanes, log, share, made, first, step, helper, offset):  # type: ignore[no-untyped-def]
-    """The owner of a shared area leaves its walk where it is, and sets out to its part.
+    """The owner of a shared area leaves its walk at its present cell, and departs to its part.
 
-    One that has yet to enter its start only has another area.
+    If it has not entered its start yet, only its area changes.
     """
     K, owner = lanes.key.shape[1], share.owner
     me, by = pick(lanes.robots, owner), pick(offset, owner)
@@ -187,7 +188,7 @@ def owner_sets_out(book, lanes, log, share, made, first, step, helper, offset): 
     since = step - (owner > helper)
     way, budget = jnp.maximum(share.walks[:, 0], 0), me[:, ln.UNTIL] - since
     base, moves, fate, end = walk(book, way, left, budget)
-    # One that is at its target already begins to cover at its next turn, which may be the last of its range.
+    # An owner already at its target begins to cover at its next turn, which may be the last of its range.
     fate = jnp.where((moves == 0) & (budget <= 1), ln.ENDS, fate)
     moves, fate = turning(book, owner, way, since, me[:, ln.UNTIL], moves, fate, True)
     part, ident = first + share.parts[:, 0], made + share.parts[:, 0]

@@ -39,29 +39,29 @@ from planner.world.world import World
 LANES = {"cpu": 1024, "gpu": 2**16}
 """Rollouts at a time on a device."""
 MOST_LANES = 2**18
-"""The log has 22 bits for the number of a rollout, of which a batch has BATCH a lane."""
+"""The log has 22 bits for the number of a rollout; a batch has BATCH rollouts a lane."""
 BATCH = 16
-"""Rollouts of a batch a lane: at its end lanes run empty."""
+"""Rollouts a lane in a batch. Lanes are idle at the end of a batch, so it must not be small."""
 EVENTS, BEGIN = 8, 3
-"""Events of each lane, before one lane in so many may begin the next rollout."""
+"""Events of each lane between the rounds in which one lane in so many may begin its next rollout."""
 WAITING = 4
 """One lane in so many may wait for the book before the host is asked."""
 LOG_ROUNDS = 4
-"""Rounds that the log has room for, at least."""
+"""Least capacity of the log in rounds."""
 ROOM, PARTS = 32, 8
-"""Areas that a rollout may make, and parts of a split, at first."""
+"""Initial capacity: new areas of a rollout, and parts of a split."""
 CHUNK = 512
-"""Rows of a table that are sent to a device at a time."""
+"""Rows of a table sent to a device at a time."""
 AXIS = "devices"
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Rollouts that wait for lanes, and what has come of those that ended. Axis `R`, rollouts.
+    """Queue of rollouts, and the results of those that ended. Axis `R`, rollouts.
 
     Attributes:
-        left: uint32 `[R, K, 2]`, thresholds. count: int32 `[1]`, how many there are; next: how many have begun.
+        left: uint32 `[R, K, 2]`, thresholds. count: int32 `[1]`, their number; next: number of those that began.
         begun: int32 `[R]`, the snapshot at which each began. ended: results `[R]`. log: walks.
     """
 
@@ -99,7 +99,7 @@ def run(book: Book, lanes: Lanes, batch: Batch) -> tuple[Lanes, Batch]:
 
 
 def rows_of_round(comes_home: bool, lanes: int, robots: int) -> int:
-    """Rows of the log that a round may add: two an event, and one a robot where a rollout or all walks end."""
+    """Rows of the log that a round may add: two an event, and one a robot if a rollout or all walks end."""
     return EVENTS * lanes * (2 + comes_home * robots) + max(lanes // BEGIN, 1) * robots
 
 
@@ -145,7 +145,7 @@ def _thresholds(key: jax.Array, ids: jax.Array, robots: int) -> jax.Array:
 
 @cache
 def _program(mesh: Mesh) -> Any:
-    """`run` on every device of the mesh with its own lanes and batch, which are given up for those that it returns."""
+    """`run` on every device of the mesh with its own lanes and batch, which are donated to the outputs."""
     each, all_ = PartitionSpec(AXIS), PartitionSpec()
     mapped = jax.shard_map(run, mesh=mesh, in_specs=(all_, each, each), out_specs=(each, each), check_vma=False)
     return jax.jit(mapped, donate_argnums=(1, 2))
@@ -153,7 +153,7 @@ def _program(mesh: Mesh) -> Any:
 
 @partial(jax.jit, donate_argnums=0)
 def _append(tables: dict[str, jax.Array], rows: dict[str, jax.Array], begins: dict[str, jax.Array]) -> Any:
-    """Write rows into tables, each from its own place on."""
+    """Write rows into tables, each from a given index on."""
     return {
         name: jax.lax.dynamic_update_slice_in_dim(table, rows[name], begins[name], 0) for name, table in tables.items()
     }
@@ -168,7 +168,7 @@ class DeviceBook:
         self._buckets: NDArray[np.uint32] | None = None
 
     def tables(self) -> dict[str, jax.Array]:
-        """What the book holds by now."""
+        """The present content of the book."""
         host, put = self.host.tables, partial(jax.device_put, device=self._sharding)
         for name, table in host.items():
             if name not in self._tables or len(self._tables[name]) != len(table.rows):
@@ -181,7 +181,7 @@ class DeviceBook:
                 rows[name], begins[name] = _words_of(table.rows[first : first + size]), np.int32(first)
                 self._sent[name] = min(first + size, table.used)
             self._tables = _append(self._tables, rows, begins)
-        # A bucket changes where an entry is added: the table is small, and sent whole.
+        # A new entry changes a bucket anywhere in the table; the table is small, so it is sent whole.
         if self._buckets is None or not np.array_equal(self._buckets, self.host.buckets):
             self._buckets = self.host.buckets.copy()
             self._tables_of_buckets = put(self._buckets)
@@ -189,7 +189,7 @@ class DeviceBook:
 
 
 def _words_of(rows: NDArray) -> NDArray:
-    """Rows as JAX has them: int64 in two words."""
+    """Rows for JAX: int64 as two words."""
     return uint64_pairs(rows) if rows.dtype == np.int64 else rows
 
 
@@ -207,12 +207,12 @@ class JaxClosedLoop:
         self, loop: ClosedLoop, seed: int, *, lanes: int | None = None, devices: int | None = None, room: int = ROOM,
         parts: int = PARTS,
     ) -> None:  # fmt: skip
-        """Raises WorldError or UsageError for what the book does not hold, and where JAX cannot run.
+        """Raises WorldError or UsageError for missions that the book does not support, and without JAX.
 
         Args:
-            loop: what to roll out. seed: 0 <= seed < 2**64.
-            lanes: rollouts at a time on each device; None: what suits it. devices: None: all of this host.
-            room, parts: areas that a rollout may make and parts of a split, at first.
+            loop: the closed loop. seed: 0 <= seed < 2**64.
+            lanes: rollouts at a time on each device; None: by kind of device. devices: None: all of this host.
+            room, parts: initial capacity: new areas of a rollout and parts of a split.
         """
         check_supported(loop)
         if lanes is not None and not 0 < lanes <= MOST_LANES:
@@ -230,7 +230,7 @@ class JaxClosedLoop:
         self._start()
 
     def _start(self) -> None:
-        """Find the snapshots at which lanes begin, with more room if it takes more."""
+        """Compute the snapshots at which lanes begin; the capacity grows if necessary."""
         while True:
             try:
                 return self._find_snapshots()
@@ -282,7 +282,7 @@ class JaxClosedLoop:
         last = int(ends.argmax()) if ends.any() else B - 1
         follow_nominal(host, self._begun, rows)
         keys = halted.key.min(axis=1)[:last].astype(np.int64)
-        # That all return to base is an event of the end of a step which shows in the next key alone.
+        # The return of all robots is an event at the end of a step, visible in the next key only.
         keys = np.minimum.accumulate(keys[::-1])[::-1]
         marks = [self._milestones(halted, rows, robot, keys, last) for robot in range(K)]
         left = (halted.left[..., 0].astype(np.int64) << 32) + halted.left[..., 1]
@@ -297,7 +297,7 @@ class JaxClosedLoop:
     def _milestones(
         self, halted: Lanes, rows: NDArray[np.uint32], robot: int, keys: NDArray[np.int64], last: int
     ) -> int:
-        """The entry that tells from a robot's threshold the last snapshot before its loss in the run without losses.
+        """The entry that maps a robot's threshold to the last snapshot before its loss in the run without losses.
 
         `keys`: of the event after each snapshot but the last.
         """
@@ -305,7 +305,7 @@ class JaxClosedLoop:
         walks = rows[rows[:, 0] == last << 10 | robot, 1:].astype(np.int64)
         walks[:, 1] = walks[:, 1].astype(np.int32)
         walks[:, 2] &= ln.FINAL - 1
-        if halted.mode[last] == ln.RUN:  # the walk that it is on has begun before the last snapshot
+        if halted.mode[last] == ln.RUN:  # the present walk began before the last snapshot
             walks = np.append(walks, [halted.robots[last, robot, [ln.WALK, ln.SINCE, ln.LAST]]], axis=0)
         marks, exposure = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
         for entry, since, moves in walks.tolist():
@@ -317,7 +317,7 @@ class JaxClosedLoop:
         return host.add_milestones(last, np.concatenate(marks), np.concatenate(exposure))
 
     def book(self) -> Book:
-        """The book on the devices, as it is by now."""
+        """The present book on the devices."""
         tables = self._device_book.tables()
         halvings = max(6, (self.host.most_visits.bit_length() + 2) // 2 * 2)
         homes = self._homes
@@ -327,7 +327,7 @@ class JaxClosedLoop:
         return Book(**fields, halvings=halvings, parts=self._parts)
 
     def _batch(self, ids: NDArray[np.int64]) -> tuple[Batch, NDArray[np.int64]]:
-        """A batch of these rollouts, shared out among the devices, and the place of each of them."""
+        """A batch of these rollouts, distributed over the devices, and the index of each."""
         D, K, B, W = self._devices, padded_team(self.loop.robots), self.lanes, self.host.words
         room, each = BATCH * B, -(-len(ids) // D)
         number = np.arange(len(ids))
@@ -338,11 +338,11 @@ class JaxClosedLoop:
         if self.loop.failure_model.is_even:
             key = np.array(threshold_key(self.seed), np.uint32)
             left = put(_thresholds(key, put(queue.astype(np.uint32)), K))
-        else:  # robots that wear, or differ in susceptibility
+        else:  # a Weibull shape other than 1, or different hazard multipliers
             drawn = self.loop.failure_model.tolerances(self.seed, queue, self.loop.robots)
             left = put(uint64_pairs(np.pad(drawn, ((0, 0), (0, K - drawn.shape[1])))))
         rows = (LOG_ROUNDS + 1) * rows_of_round(self.loop.comes_home, B, K)
-        zeros = partial(jnp.zeros, device=self._shared)  # made where they are needed: they may be gigabytes
+        zeros = partial(jnp.zeros, device=self._shared)  # allocated on the device: they may be gigabytes
         made = on_host(
             Batch,
             left=left,
@@ -365,7 +365,7 @@ class JaxClosedLoop:
         logs: list[list[NDArray[np.uint32]]] = [[] for _ in range(self._devices)]
         while True:
             self._lanes, batch = program(self.book(), self._lanes, batch)
-            # What is read is copied: the program is given the memory back.
+            # Results are copied before use: the buffers are donated to the next call.
             used, mode, fuel = (np.array(of) for of in (batch.log.used, self._lanes.mode, self._lanes.fuel))
             for device, log in enumerate(logs):
                 log.append(_first_rows(batch.log.rows.addressable_data(device), int(used[device])))
@@ -392,7 +392,7 @@ class JaxClosedLoop:
         return self.run(start, count)[0]
 
     def results(self, start: int, count: int) -> RolloutResults:
-        """What each of those rollouts came to."""
+        """The result of each of those rollouts."""
         return self.run(start, count)[1]
 
     def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
@@ -432,8 +432,8 @@ class JaxClosedLoop:
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
         """Those rollouts in full, in the order given, a few at a time.
 
-        A trace is that of the simulator as Python, in which the robots are lost that the lane has lost: its moves are
-        the lane's, or an AssertionError is raised.
+        A trace comes from the simulator in Python with the losses of the lane. Moves that differ from the lane's raise
+        an AssertionError.
         """
         waiting = iter(rollouts)
         while few := list(itertools.islice(waiting, BATCH * self.lanes * self._devices)):
@@ -473,11 +473,11 @@ class JaxClosedLoop:
 
 
 def _first_rows(rows: jax.Array, count: int) -> NDArray[np.uint32]:
-    """So many rows of one device. Of a GPU no more than twice as many are fetched, by few programs."""
-    if jax.default_backend() != "cpu":  # whose memory is read in place
+    """The first rows of one device. From a GPU at most twice as many are fetched, by few programs."""
+    if jax.default_backend() != "cpu":  # the memory of a CPU is read in place
         rows = rows[: 1 << max(count - 1, 0).bit_length()]
     return np.asarray(rows)[:count].copy()
 
 
 class _NoRoom(Exception):
-    """A rollout made more areas than there is room for."""
+    """A rollout made more areas than its capacity."""

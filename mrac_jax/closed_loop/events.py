@@ -1,7 +1,7 @@
 """The closed loop event by event: a lane jumps from one decision of a robot to the next.
 
-The next event is the least (step, robot) at which a walk ends. There are no moves and no searches: what a robot does
-next is looked up. A set that is not in the book makes its lane wait. Letters as in `mrac_jax.closed_loop.lanes`.
+The next event is the least (step, robot) at which a walk ends. There are no moves and no searches: the next walk of a
+robot is looked up. A lane waits if a set is not in the book. Letters as in `mrac_jax.closed_loop.lanes`.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     doing, fate, piece = me[:, ln.DOING], me[:, ln.FATE], jnp.maximum(me[:, ln.AREA], 0)
     row_end = pick(row, who) + me[:, ln.LAST]
     here = me[:, ln.HERE]
-    if homes is not None:  # who turns back is not at the end of its walk
+    if homes is not None:  # a robot that turns back is not at the end of its walk
         here = hold(jnp.where(me[:, ln.WALK] > 0, at(book.cell_at, row_end), here))
     ends = late | none
     if homes is None:
@@ -65,7 +65,7 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     covers, starts = ~leaves & (doing == ln.TRAVEL) & rest, ~leaves & (doing == ln.START)
     returns = (doing == ln.RETURN) | (doing == ln.RECALL)
     wants = ~leaves & ~covers & ~starts & ~returns & ~due & (doing != ln.LAND)
-    # A robot that waits or is charged has moves left, another one a step at which they end.
+    # Waiting and recharging robots store moves left; others store the step at which these end.
     until = me[:, ln.UNTIL] + jnp.where(doing == ln.IDLE, step, 0)
     if homes is not None:
         until = jnp.where(doing == ln.CHARGE, step + at(homes.range, who), until)
@@ -82,7 +82,7 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     best = jnp.argmin(costs, axis=1).astype(jnp.int32)
     least, area = hold((costs.min(axis=1), jnp.maximum(pick(lanes.slots, best), 0)))
     is_open = least < NEVER
-    # It may have been completed by a robot that passed: then it is closed, and the robot looks again.
+    # A passing robot may have completed it: then it is closed, and the robot selects again.
     closed = wants & is_open & ((at(book.bits, area) & ~now) == 0).all(axis=1)
     takes = wants & is_open & ~closed & ~too_far
     finds_none = wants & (~is_open | too_far) & ~closed
@@ -97,7 +97,7 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     arrives = turned = homeward = recalls = jnp.zeros_like(due)
     if homes is not None:
         way = moves_home(book, who, here)
-        # For what is out of its range alone a robot is recharged, if it has made a move.
+        # A robot recharges only if all work is out of range, and only if it has made a move.
         recalls = wants & too_far & ~closed & ~shares & (homes.recharge > 0) & (until - step < at(homes.range, who))
         turned = (fate == ln.TURNS) | ((fate == ln.ENDS) & (way == 0) & ~returns) | recalls | due
         next_row = row_end + (me[:, ln.LAST] < at(book.entries, me[:, ln.WALK])[:, LENGTH])
@@ -130,7 +130,7 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     gone = acts & (leaves | turned | returns) & ~again & ~goes
     charges = gone & arrives & recalls & (lanes.over == 0)
 
-    # One that turns back goes on with what is left of its threshold.
+    # A robot that turns back keeps the rest of its threshold.
     done = None if homes is None else me[:, ln.LAST]
     spent = acts & ~again & ~dies & ((fate == ln.ARRIVES) | (homes is not None))
     left = jnp.where(spent[:, None], ln.left_after(book, me[:, ln.WALK], left, done), left)
@@ -160,7 +160,7 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     key = jnp.where(goes, (since + moves + (how == ln.TURNS)) * stride + who, jnp.where(closed | again, key, NEVER))
     if homes is not None:
         key = jnp.where(charges, (step + homes.recharge) * stride + who, key)
-        # One that waits returns at the end of the step after which it would be late.
+        # A waiting robot returns at the end of the last step from which it is in time.
         rest_until = jnp.maximum(homes.last - moves_home(book, who, here), step) * stride + K + who
         is_due = rests & (moves_home(book, who, here) > 0) & (homes.last <= book.max_steps)
         key = jnp.where(is_due, rest_until, key)
@@ -242,7 +242,7 @@ def begin(book: Book, left: jax.Array, number: jax.Array) -> tuple[Lanes, jax.Ar
 
 
 def ended(book: Book, lanes: Lanes) -> tuple[Ended, jax.Array, jax.Array]:
-    """What lanes at their end have come to; and rows of the log, uint32 `[S, K, 4]`, and which of them there are."""
+    """Results of lanes at their end; and rows of the log, uint32 `[S, K, 4]`, and which of them there are."""
     robots, row = lanes.robots, lanes.robots[:, :, ln.ROW]
 
     def by(time: jax.Array) -> jax.Array:
@@ -253,7 +253,7 @@ def ended(book: Book, lanes: Lanes) -> tuple[Ended, jax.Array, jax.Array]:
 
     complete = (lanes.now == book.every).all(axis=1)
     time = lanes.last
-    if book.homes is None:  # else a robot has had to return after that
+    if book.homes is None:  # else a robot had to return after that
 
         def is_complete(time: jax.Array) -> jax.Array:
             return (covered(time) == book.every).all(axis=1)

@@ -1,8 +1,8 @@
 """A rollout as a lane: its state, the book on the device, and how a robot's walk ends.
 
-A threshold is one number, so where a robot is lost on a walk is known when the walk begins: a bisection in the walk's
+A threshold is one number, so the place of a loss on a walk is known when the walk begins: a bisection in the walk's
 running sum of hazards. What is visited by a step is the cells of the walks that have ended, and a row of `prefix` for
-each robot. Axis letters: `B` lanes, `K` robots, `G` areas that a lane has room for, `S` of any of them; the others as
+each robot. Axis letters: `B` lanes, `K` robots, `G` capacity for areas, `S` any of them; the others as
 in `mrac_jax.closed_loop.book`.
 """
 
@@ -19,24 +19,24 @@ from mrac_jax.arrays import STATIC, is_reached, less
 from mrac_jax.closed_loop.book import BUCKET, COUNT, FIRST, NEVER, NOWHERE, mixed
 
 START, FOLLOW, TRAVEL, COVER, LAND, RETURN, RECALL, CHARGE, IDLE, OUT, DEAD = range(11)
-"""What a robot does: enters its start and has an area; follows an external path; travels; covers; enters its start and
+"""State of a robot: enters its start and has an area; follows an external path; travels; covers; enters its start and
 has none; returns to base for good, or to be recharged; is recharged; waits; neither moves nor waits; is lost."""
 ARRIVES, DIES, ENDS, TURNS = range(4)
-"""How its walk ends: at its end, at a visit, with the last move of the robot's range, or with its return to base."""
+"""End of a walk: at its last cell, at a visit, with the last move of the robot's range, or with its return to base."""
 OFF, RUN, MISSING, DONE, FULL = range(5)
-"""Of a lane: no rollout; its next event; an entry is missing in the book; at its end; it needs more room."""
+"""Mode of a lane: no rollout; next event; an entry is missing in the book; at its end; capacity exceeded."""
 DOING, FATE, HERE, AREA, IDENT, WALK, ROW, SINCE, LAST, UNTIL, FIELDS = range(11)
 """Of a robot: its fate, the cell at which its walk ends, its piece (NONE) and the id of that area, its walk's entry and
-first row, the step before its first move, how many it makes, and the step of the last move of its range (of one that
-waits, moves left)."""
+first row, the step before its first move, its number of moves, and the step of the last move of its range (for a
+waiting robot, moves left)."""
 TIME, NUMBERS = 2, 8
 """Numbers of a rollout: visited, survived, time, alive, outcome, bisected, divided, robots at a base."""
 LIMITLESS = 2**28
-"""The range of a robot without one."""
+"""The range of a robot with unlimited range."""
 STOPPED, FINAL = 2**31, 2**30
 """Flags of a log's row above the moves: the last one destroyed the robot; the rollout ended before the walk."""
 HALVINGS = 23
-"""Steps of a run fit into so many bits."""
+"""Number of bits for the steps of a run."""
 
 hold = jax.lax.optimization_barrier
 
@@ -78,12 +78,12 @@ class Lanes:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Homes:
-    """Where robots return to. All int32, `S` sets of bases.
+    """Bases of the robots. All int32, `S` sets of bases.
 
     Attributes:
-        of: `[K]`, the bases of each robot. steps: `[S, A']`, moves of the way there, below 0 where there is none.
-        range: `[K]`, moves that a robot can make. last, recharge: the step by which they are to be there; steps until a
-            robot has its range again, 0: it does not.
+        of: `[K]`, the bases of each robot. steps: `[S, A']`, moves of the path there, below 0 without a path.
+        range: `[K]`, moves that a robot can make. last: step by which they must be there. recharge: steps that
+            restore the range of a robot, 0: never.
         turnings: static: bits of the moves of the longest walk.
     """
 
@@ -98,7 +98,7 @@ class Homes:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Book:
-    """The decisions of a closed loop on a device: a frozen pytree. What a lane misses in it is reported.
+    """The decisions of a closed loop on a device: a frozen pytree. Lanes report missing entries.
 
     Attributes:
         entries .. buckets: as of `HostBook`; sums: uint32 `[D, 2]`, leading word first.
@@ -107,11 +107,11 @@ class Book:
             the next one of the same robot, NONE after the last.
         first: Lanes `[M]`, snapshots of the run without losses, at which lanes begin; before: uint32 `[M, K, 2]`, the
             hazard that robots have met by then, without the walk that they are on. milestones: int32 `[K]`, entries
-            that tell from a robot's threshold the snapshot before its loss.
-        homes: None where robots stay where they end.
-        halvings, parts: static: bits of the most visits of a walk; parts that a split may have.
+            that map a robot's threshold to the snapshot before its loss.
+        homes: None if robots do not return.
+        halvings, parts: static: bits of the largest number of visits of a walk; maximum parts of a split.
         free: bool `[H, W]`, cells that robots can reach; cells: int32 `[A]`, the index of each in the map. plain: bool,
-            robots are alike and do not wear out. None in the engine, which compiles one program for many maps.
+            robots are alike, of Weibull shape 1. None in the engine, which compiles one program for many maps.
     """
 
     entries: jax.Array
@@ -164,7 +164,7 @@ class Ended:
 
 
 def at(table: jax.Array, place: jax.Array) -> jax.Array:
-    """Rows of a table; every place is in it."""
+    """Rows of a table; every index is in range."""
     return table.at[place].get(mode="promise_in_bounds")
 
 
@@ -192,9 +192,9 @@ def entered(book: Book, row: jax.Array) -> jax.Array:
 
 
 def first_that(fits: Callable[[jax.Array], jax.Array], low: jax.Array, high: jax.Array, halvings: int) -> jax.Array:
-    """The least of the numbers `low` .. `high` - 1 that fits, and so do all above it; `high`: none. All `[S]`.
+    """Bisection: the least of `low` .. `high` - 1 that fits, as all above it do; `high`: none. All `[S]`.
 
-    `halvings`: as many as `high - low` has bits.
+    `halvings`: number of bits of `high - low`.
     """
 
     def halve(_: int, span: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
@@ -210,7 +210,7 @@ def first_that(fits: Callable[[jax.Array], jax.Array], low: jax.Array, high: jax
 def walk(
     book: Book, entry: jax.Array, left: jax.Array, budget: jax.Array, halvings: int | None = None
 ) -> tuple[jax.Array, ...]:
-    """Of walks that begin `[S]`, with such thresholds `[S, 2]` and moves left: (first row, moves, fate, last cell)."""
+    """(first row, moves, fate, last cell) of walks `[S]` that begin with thresholds `[S, 2]` and moves left."""
     base, length, end, first, count = hold(at(book.entries, entry)).T[:5]
     survived = first_that(
         lambda visit: is_reached(left, at(book.sums, first + visit)), jnp.zeros_like(count), count,
@@ -234,7 +234,7 @@ def left_after(book: Book, entry: jax.Array, left: jax.Array, moves: jax.Array |
 
 
 def stride_of(book: Book, lanes: Lanes) -> int:
-    """Keys of a step: the robots' turns, and where they return to base, what they do at the end of the step."""
+    """Keys of a step: the robots' turns, and with return to base, the events at the end of the step."""
     return lanes.key.shape[1] * (1 if book.homes is None else 2)
 
 
@@ -243,7 +243,7 @@ def look_up(book: Book, row: jax.Array, salt: jax.Array) -> jax.Array:
     bucket, tag = hold(mixed(row, salt))
     there = at(book.buckets, (bucket & jnp.uint32(book.buckets.shape[0] - 1)).astype(jnp.int32))
     entry = jnp.where(there[:, :BUCKET] == tag[:, None], there[:, BUCKET:], 0).max(axis=1).astype(jnp.int32)
-    # Equal hashes are not enough: the set itself has to be the same.
+    # Hashes may collide, so the sets are compared too.
     same = (at(book.sets, entry) == row).all(axis=1) & (at(book.salts, entry) == salt)
     return jnp.where(same & (entry > 0), entry, -1)
 
@@ -271,7 +271,7 @@ def write(log: Log, chosen: jax.Array, rows: jax.Array) -> Log:
 
 
 def if_any(wanted, make, other=None):  # type: ignore[no-untyped-def]
-    """`make()` where some lane wants it, else `other`, or zeros. On a GPU a branch would make the host wait."""
+    """`make()` if some lane needs it, else `other`, or zeros. On a GPU a branch would make the host wait."""
     if jax.default_backend() != "cpu":
         return make()
     if other is None:

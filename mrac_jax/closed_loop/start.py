@@ -1,4 +1,4 @@
-"""Lanes at their first step: t = 0 of a plan, or a mission's state. NumPy alone."""
+"""Lanes at their first step: t = 0 of a plan, or a mission's state. Only NumPy is used."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from planner.simulator.state import first_room
 ENDLESS = 2**62
 """A threshold that no hazard reaches."""
 ROBOTS = (8, 16, 32, 64, 128, 256, 512, 1024)
-"""Teams are padded to one of these."""
+"""Team sizes to which teams are padded."""
 AREAS = 64
-"""Room for areas is a multiple of this."""
+"""The capacity for areas is a multiple of this."""
 
 
 def check_supported(loop: ClosedLoop) -> None:
-    """Raise WorldError or UsageError for a mission that the book does not hold."""
+    """Raise WorldError or UsageError for a mission that the book does not support."""
     t, fix = loop.tables, f"use {argument('engine', 'numba')}"
     size = f"a map of {loop.shape[0]} x {loop.shape[1]} cells, {len(loop.cells)} of them accessible"
     if not loop.tabled and not loop.learns:
@@ -52,12 +52,12 @@ def check_supported(loop: ClosedLoop) -> None:
 
 
 def padded_team(robots: int) -> int:
-    """Robots that lanes of such a team have room for."""
+    """Capacity for robots of the lanes of a team."""
     return next(room for room in ROBOTS if room >= robots)
 
 
 def stride_of(loop: ClosedLoop) -> int:
-    """Keys of a step: the robots' turns, and where they return to base, what they do at the end of the step."""
+    """Keys of a step: the robots' turns, and with return to base, the events at the end of the step."""
     return padded_team(loop.robots) * (2 if loop.comes_home else 1)
 
 
@@ -67,7 +67,7 @@ def members(bits: NDArray[np.uint64]) -> NDArray[np.int64]:
 
 
 def first_lane(book: HostBook, room: int) -> Lanes:
-    """One lane (NumPy) that has yet to make its first step, without losses; `room`: areas made by then and later."""
+    """One lane (NumPy) before its first step, without losses; `room`: capacity for new areas."""
     loop, t = book.loop, book.loop.tables
     state = loop.first_state(first_room(t))
     raw = type(state)(*(row[0] for row in state))
@@ -141,7 +141,7 @@ def _robot(book: HostBook, raw, number: int, step: int) -> tuple[NDArray[np.int3
 
 
 def _rest_of(book: HostBook, raw, number: int, cell: int) -> int:  # type: ignore[no-untyped-def]
-    """The walk of a robot of a mission's state: along its way, and through the rest of the cells to do."""
+    """The walk of a robot of a mission's state: along its path, and through the remaining cells."""
     loop = book.loop
     robot = loop.state.robots[number]  # type: ignore[union-attr]
     if robot.status == "returning":
