@@ -928,18 +928,14 @@ NEW = {"policy": "per_cell", "risk_cap": 0.5, "robot_value": 7.5}
 def test_names_of_0_3_are_read_with_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     np.save(tmp_path / "cells.npy", WORLD.threat)
     new = make_plan(WORLD, [[0, 0]], Settings(**NEW))
-    file = tmp_path / "plan.json"
-    file.write_text(json.dumps(new.to_json() | {"settings": new.settings.to_json() | {"plan_for": "closed"}}))
-    text = file.read_text()
-    for name, old in {"risk_cap": "reserve", "robot_value": "worth"}.items():
-        text = text.replace(f'"{name}"', f'"{old}"')
-    file.write_text(text)
+    file, scenario = tmp_path / "plan.json", tmp_path / "old.yaml"
+    old = {name: value for name, value in new.settings.to_json().items() if name not in NEW}
+    file.write_text(json.dumps(new.to_json() | {"settings": old | OLD | {"plan_for": "closed"}}))
     with pytest.warns(RenamedWarning, match="plan.json: `.*` is now `.*`; release 0.5") as said:
         assert load_plan(file, WORLD).settings == new.settings
     assert len(said) == 3
     with pytest.warns(RenamedWarning):
         assert mrac.plan(WORLD, 1, **OLD).settings == new.settings
-    scenario = tmp_path / "old.yaml"
     scenario.write_text("map: cells.npy\nrobots: {count: 1, susceptibility: 2}\nwear: {shape: 3}\nplan_for: open\n")
     with pytest.warns(RenamedWarning):
         asked = load_input(scenario).team.settings
