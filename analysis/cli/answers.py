@@ -84,16 +84,16 @@ def evaluate(source: INPUT, /, given: Given) -> int:
     wanted = replace(given.asked(source), sensor_range=None)
     asked: dict[str, Any] = {"threat_scale": scales} | ({"knowledge": ranges} if ranges else {})
     sought = given.seconds if given.policy == BEST else None
-    told: list[str] = []
+    shown_notes: list[str] = []
 
     def first(world: World) -> None:
         """Print the notes of the map's reader before the work starts."""
         check_asked(world, **asked)
-        told.extend(world.notes)
-        say(told)
+        shown_notes.extend(world.notes)
+        say(shown_notes)
 
     world, made, notes = load_or_make_plan(wanted, given.plan, given.state, first=first, seconds=sought)
-    notes = tuple(note for note in notes if note not in told)
+    notes = tuple(note for note in notes if note not in shown_notes)
     choices = given.enough(made.is_external, None)
     earlier: Report | None = None
 
@@ -111,7 +111,7 @@ def evaluate(source: INPUT, /, given: Given) -> int:
         )  # fmt: skip
     return deliver(
         answer, report(answer, given.theory), out=given.out, as_json=given.json, notes=notes, source=source,
-        beside=(given.plan, given.state), earlier=earlier,
+        also_read=(given.plan, given.state), earlier=earlier,
     )  # fmt: skip
 
 
@@ -165,7 +165,7 @@ def compare(
     with show_progress() as progress:
         answer = compare_sides(first, other, progress=progress)
     files = (given.plan, plan_b, input_path(source_b))
-    return deliver(answer, out=given.out, as_json=given.json, source=a, beside=files)
+    return deliver(answer, out=given.out, as_json=given.json, source=a, also_read=files)
 
 
 def _side(name: str, source: str, plan: Path | None, given: Given) -> tuple[Side, tuple[str, ...]]:
@@ -346,7 +346,7 @@ def starts(source: INPUT, /, given: Given) -> int:
 
     choices, scenario_out, out = given.rolled(), given.scenario_out, given.out
     named = None if given.candidates in (None, BORDER) else Path(str(given.candidates))
-    check_files(source, scenario_out, suffix=".yaml", beside=(named,))
+    check_files(source, scenario_out, suffix=".yaml", also_read=(named,))
     check_folder(out)
     candidates, notes = (BORDER, ()) if named is None else read_candidates(named)
     asked = replace(given.asked(source), robots=None)
@@ -359,7 +359,7 @@ def starts(source: INPUT, /, given: Given) -> int:
     if scenario_out is not None:
         write_scenario(scenario_out, input_path(source), answer.starts, settings, world.pace, given.cell_size)
         say([f"wrote {scenario_out}"])
-    return deliver(answer, out=out, as_json=given.json, source=source, beside=(named,))
+    return deliver(answer, out=out, as_json=given.json, source=source, also_read=(named,))
 
 
 @command(

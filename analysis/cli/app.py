@@ -175,7 +175,7 @@ def _run(arguments: Sequence[str] | None, other: App | None) -> int:
         say([f"error: {old}: {LEFT[old]}"])
         return BAD_INPUT
     words = [_new_option(word) for word in _new_command(words)]
-    told, named = COMMAND.set(tuple(words)), COMMAND_LINE.set(True)
+    command_token, named = COMMAND.set(tuple(words)), COMMAND_LINE.set(True)
     try:
         check_streams()
         asked = other or (app if ALL in words or not {"--help", "-h"} & set(words) else make_app(False))
@@ -200,7 +200,7 @@ def _run(arguments: Sequence[str] | None, other: App | None) -> int:
     except OSError as error:
         line = f"{error.filename or 'output'}: {error.strerror}; expected a file or folder that can be used"
     finally:
-        COMMAND.reset(told)
+        COMMAND.reset(command_token)
         COMMAND_LINE.reset(named)
     say([f"error: {line}"])
     return BAD_INPUT

@@ -95,15 +95,15 @@ def may_replace(out: Path | None, force: bool) -> bool:
 
 
 def check_files(
-    source: str | None, *outputs: Path | None, suffix: str = "", beside: tuple[Path | None, ...] = ()
+    source: str | None, *outputs: Path | None, suffix: str = "", also_read: tuple[Path | None, ...] = ()
 ) -> None:
     """Refuse output files that cannot be written, that are inputs, or that coincide, before any work is done.
 
-    Inputs are INPUT, the files `beside`, and the files that scenarios among them name.
+    Inputs are INPUT, the files `also_read`, and the files that scenarios among them name.
     """
     from analysis.inputs import read_files
 
-    taken = [file.resolve() for file in read_files(source, *beside)]
+    taken = [file.resolve() for file in read_files(source, *also_read)]
     for out in outputs:
         if out is None:
             continue
@@ -179,7 +179,7 @@ def deliver(
     notes: Iterable[str] = (),
     command: str | None = None,
     source: str | None = None,
-    beside: Iterable[Path | None] = (),
+    also_read: Iterable[Path | None] = (),
     earlier: Report | None = None,
 ) -> int:
     """Print `answer`, save it to `out`, print the notes and the files written; returns the exit status.
@@ -189,7 +189,7 @@ def deliver(
     Args:
         said: its report, if it differs from the usual one.
         command: the command for the page, if it is not the command line that runs.
-        source, beside: the INPUT, and other files that were read: they are not replaced.
+        source, also_read: the INPUT, and other files that were read: they are not replaced.
         earlier: an earlier report of it that is already printed.
     """
     from analysis.inputs import read_files
@@ -205,7 +205,7 @@ def deliver(
         with show_progress() as progress:
             progress.doing("writing pictures and the page")
             line = command_line() if command is None else command
-            written = save_report(report, out, line, read_files(source, *beside))
+            written = save_report(report, out, line, read_files(source, *also_read))
     say([*notes, *(f"wrote {file}" for file in written)])
     if unread:
         raise unread[0]

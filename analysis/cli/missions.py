@@ -58,7 +58,7 @@ def plan(source: INPUT, /, given: Given) -> int:
     out, waypoints, state = given.out, given.waypoints, given.state
     if given.altitude is not None and waypoints is None:
         raise UsageError("--altitude without --waypoints", fix="add --waypoints")
-    check_files(source, out, waypoints, beside=(state,))
+    check_files(source, out, waypoints, also_read=(state,))
     if not may_replace(out, given.force):
         return DONE
     form = None if waypoints is None else choose_format(waypoints, None, "waypoints")
@@ -141,7 +141,7 @@ def drive(source: INPUT, /, given: Given) -> int:
     state, gain = given.state, given.gain
     whole(1).check("patience", given.patience, optional=True)
     FRACTION.check("gain", gain, optional=True)
-    check_files(source, state, suffix=".json", beside=(given.plan,))
+    check_files(source, state, suffix=".json", also_read=(given.plan,))
     if sys.stdin is None:
         raise UsageError("standard input is closed", expected="reports there, a JSON object a line")
     asked = given.asked(source)
@@ -252,8 +252,8 @@ def record(source: INPUT, /, given: Given) -> int:
     if cut is not None:
         written.append(state_name(done.path))
         cut.save(written[-1], force=True)
-    told = [*interrupted_lines(done, out), *(f"wrote {file}" for file in written)]
-    status = deliver(done, as_json=given.json, notes=told)
+    lines = [*interrupted_lines(done, out), *(f"wrote {file}" for file in written)]
+    status = deliver(done, as_json=given.json, notes=lines)
     drawn = [str(file) for file in (given.picture, given.animation) if file is not None]
     if drawn and not done.partial:
         say([f"drawing {' and '.join(drawn)} ..."])
@@ -302,7 +302,7 @@ def nothing_recorded(out: Path) -> str:
 
 def check_outputs(
     source: str,
-    beside: tuple[Path | None, ...],
+    also_read: tuple[Path | None, ...],
     out: Path,
     picture: Path | None,
     animation: Path | None,
@@ -312,7 +312,7 @@ def check_outputs(
     for one, suffix in ((out, SUFFIX), (picture, ".png"), (animation, ".gif")):
         if one is not None:
             check_name(one, suffix)
-    check_files(source, out, layout_name(out), picture, animation, cut_to, beside=beside)
+    check_files(source, out, layout_name(out), picture, animation, cut_to, also_read=also_read)
     growing = growing_name(out)
     if growing.is_symlink() or growing.exists():
         raise left_over(growing)

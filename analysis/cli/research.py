@@ -54,7 +54,7 @@ def sweep(spec: file("SPEC", "Sweep file (YAML)."), /, given: Given) -> int:  # 
     say([f"results are in {kept}"])
     line = ["mrac-jax", "sweep", str(spec), "--store", str(kept)]
     line += [] if precision is None else ["--precision", f"{precision:g}"]
-    return deliver(answer, out=given.out, as_json=given.json, command=shlex.join(line), beside=(spec,))
+    return deliver(answer, out=given.out, as_json=given.json, command=shlex.join(line), also_read=(spec,))
 
 
 @command(
@@ -174,7 +174,7 @@ def check(
     say(notes)
     with show_progress() as progress:
         answer = check_input(world, made, choices, progress, given.bound or None, given.theory)
-    return deliver(answer, out=given.out, as_json=given.json, source=source, beside=(given.plan,))
+    return deliver(answer, out=given.out, as_json=given.json, source=source, also_read=(given.plan,))
 
 
 def _check_worlds(given: Given) -> int:
