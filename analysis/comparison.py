@@ -81,7 +81,8 @@ class Comparison(Answer):
     Attributes:
         a, b: the sides. pairs: by figure, sums of A's (x) and B's (y).
         ahead, behind: rollouts in which B visits a larger, a smaller fraction than A.
-        by_luck: sums of A's and B's figures by class of S of the larger team (`planner.rollouts.threshold_classes`).
+        by_threshold: sums of A's and B's figures by class of S of the larger team
+            (`planner.rollouts.threshold_classes`).
         seconds: computing time of the rollouts. partial: whether it was interrupted.
         certain: no robot of either side can be lost, so that all runs are equal.
     """
@@ -97,7 +98,9 @@ class Comparison(Answer):
     seconds: float
     partial: bool = False
     certain: bool = False
-    by_luck: tuple[NDArray[np.int64], NDArray[np.int64]] = field(default_factory=lambda: (no_counts(), no_counts()))
+    by_threshold: tuple[NDArray[np.int64], NDArray[np.int64]] = field(
+        default_factory=lambda: (no_counts(), no_counts())
+    )
 
     @property
     def rollouts(self) -> int:
@@ -136,9 +139,9 @@ class Comparison(Answer):
         return difference(self.pairs[figure], *units, reach, self.certain, self._controls(figure))
 
     def _controls(self, figure: str) -> CommonThresholds | None:
-        if not len(self.by_luck[0]):
+        if not len(self.by_threshold[0]):
             return None
-        a, b = (sums.reshape(-1, len(COLUMNS)) for sums in self.by_luck)
+        a, b = (sums.reshape(-1, len(COLUMNS)) for sums in self.by_threshold)
         if figure not in COLUMNS:
             return None
         column = COLUMNS.index(figure)
@@ -204,19 +207,19 @@ def _begun(plan: Plan) -> dict[str, object]:
 def _traits(side: Side, with_settings: bool) -> dict[str, str]:
     """The description of a side by aspect; the keys are the same for both sides."""
     plan, choices = side.plan, side.choices
-    known, doubt = side.world.knowledge, side.world.doubt
+    known, uncertainty = side.world.knowledge, side.world.uncertainty
     found = {
         "map": f"map {side.world.source}",
-        "doubt": "a certain map" if doubt is None else doubt.said,
-        "knowledge": "known map" if known is None else known.sense.said,
+        "doubt": "a certain map" if uncertainty is None else uncertainty.description,
+        "knowledge": "known map" if known is None else known.sense.description,
         "robots": counted(len(plan.robots), "robot"),
         "plan": f"{'a' if plan.for_open_loop else 'an'} {plan.origin}",
         "loop": "open loop" if choices.loop == "open" else "closed loop",
         "checks": "first visits only" if choices.first_only else "every visit checked",
     }
     if plan.is_external:
-        found["failures"] = plan.failure_model.said or "Weibull shape 1, equal robots"
-    settings = plan.settings.said() if with_settings and plan.settings is not None else {}
+        found["failures"] = plan.failure_model.description or "Weibull shape 1, equal robots"
+    settings = plan.settings.as_json() if with_settings and plan.settings is not None else {}
     if settings and choices.deadline is not None:  # it ends both sides, also a plan made without it
         settings["deadline"] = choices.deadline
     return found | {
@@ -300,8 +303,8 @@ def _add(so_far: Comparison, a: RolloutResults, b: RolloutResults, seconds: floa
     ahead, behind = int((theirs > mine).sum()), int((theirs < mine).sum())
     found = replace(so_far, pairs=pairs, ahead=so_far.ahead + ahead, behind=so_far.behind + behind, seconds=seconds)
     sums = (sums_by_threshold(side, so_far.a.choices.seed, most_robots(so_far.a, so_far.b)) for side in (a, b))
-    one, other = (add_padded(before, more) for before, more in zip(so_far.by_luck, sums, strict=True))
-    return replace(found, by_luck=(one, other))
+    one, other = (add_padded(before, more) for before, more in zip(so_far.by_threshold, sums, strict=True))
+    return replace(found, by_threshold=(one, other))
 
 
 def most_robots(a: Side, b: Side) -> int:
@@ -346,7 +349,7 @@ def report(answer: Comparison) -> Report:
     return Report(
         "compare", "compare", f"{' and '.join(names)}: which covers more?",
         headline(answer), lambda: _json(answer), figures=_key_figures(answer),
-        heading=(f"A: {_said(a)}", f"B: {_said(b)}", *[certain] * answer.certain,
+        heading=(f"A: {_description(a)}", f"B: {_description(b)}", *[certain] * answer.certain,
                  f"{counted(answer.rollouts, 'rollout')} on common random numbers, seed {a.choices.seed}"),
         took=[f"{rate:,.0f} rollouts a second of both"], parts=[Part("Figures", [_table(answer)], [TABLE_NOTE])],
         notes=_notes(answer), warnings=["Interrupted: the rollouts done so far are shown."] * answer.partial,
@@ -418,7 +421,7 @@ def _is_vague(answer: Comparison, figure: str) -> bool:
     return low < 0 < high and not high - low <= max(largest, NARROW)
 
 
-def _said(side: Side) -> str:
+def _description(side: Side) -> str:
     plan, choices = side.plan, side.choices
     made = plan.origin if plan.is_external else counted(len(plan.areas), "area")
     first = ", first visits only" if choices.first_only else ""
@@ -435,7 +438,7 @@ def _pace(answer: Comparison) -> Pace:
     return pace if pace == answer.b.world.pace else UNPACED
 
 
-def _shown(answer: Comparison) -> list[tuple[str, str, float]]:
+def _coverages(answer: Comparison) -> list[tuple[str, str, float]]:
     """Figure, name and scale of each row."""
     pace = _pace(answer)
     minutes = [("time", "time, minutes", pace.minutes)] * bool(pace)
@@ -444,7 +447,7 @@ def _shown(answer: Comparison) -> list[tuple[str, str, float]]:
 
 def _key_figures(answer: Comparison) -> list[KeyFigure]:
     out = []
-    for figure, name, scale in _shown(answer):
+    for figure, name, scale in _coverages(answer):
         estimate = answer.difference(figure).estimate
         if figure in FIGURES[:2] and (known := answer.exact_difference(figure)) is not None:
             estimate = exactly(known)
@@ -461,7 +464,7 @@ def _table(answer: Comparison) -> Table:
     title = "; ".join(f"{name}: {', '.join(words)}" for name, words in differ if words)
     columns = ("", "A", "B", "B - A", "from", "to", *exactly, "gain")
     table = make_table(columns, title or None, dropped=("gain",), padding=(0, 1, 0, 0))
-    for figure, name, scale in _shown(answer):
+    for figure, name, scale in _coverages(answer):
         apart, exact = answer.difference(figure), known.get(figure)
         table.add_row(
             name,

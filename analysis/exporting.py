@@ -78,8 +78,8 @@ class Mission:
 
     def unknown(self, figures: tuple[str, ...]) -> tuple[str, ...]:
         """A note with the names of those figures that lack an exact value for some cell or robot, and the reason."""
-        doubt = self.world.doubt or self.world.knowledge
-        if not figures or doubt is None:
+        uncertainty = self.world.uncertainty or self.world.knowledge
+        if not figures or uncertainty is None:
             return ()
         covered, lost, survival = self.exact.visited_by_cell, self.exact.stops_by_cell, self.exact.survival
         of = {"covered": covered, "losses": lost, "residual": covered, "chance_of_loss": survival}
@@ -87,7 +87,10 @@ class Mission:
         if not left:
             return ()
         names = " and ".join(filter(None, (", ".join(left[:-1]), left[-1])))
-        return (f"{names} omitted where the open loop has no exact value (`evaluate` estimates them): {doubt.said}",)
+        return (
+            f"{names} omitted where the open loop has no exact value (`evaluate` estimates them): "
+            f"{uncertainty.description}",
+        )
 
     @property
     def step_seconds(self) -> float:

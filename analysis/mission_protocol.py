@@ -74,9 +74,9 @@ class Dialogue:
         given = Key(rest, "", key.source, UsageError)
         if kind == "report":
             # A repeated report changes nothing and has no reply.
-            before, over = (self.mission.said(), self.mission.sees), self.mission.outcome is not None
+            before, over = (self.mission.as_json(), self.mission.sees), self.mission.outcome is not None
             hand_on(self.mission.report, given)
-            if (self.mission.said(), self.mission.sees) == before:
+            if (self.mission.as_json(), self.mission.sees) == before:
                 return iter(())
             changed = bool(rest.get("stopped") or rest.get("found") or "moves_left" in rest or rest.get("seen"))
             return self._proceed(changed=changed, step=over)

@@ -91,7 +91,7 @@ class RolloutChoices:
         if self.exact not in ("auto", "never"):
             OPTIONS["exact"].numbers.check("exact", self.exact)
         if not isinstance(self.deadline, str) or seconds_of(self.deadline) is None:
-            whole(0, MAX_STEP + 1, said=f"{SPANS}, at most {MAX_STEP + 1} steps").check(
+            whole(0, MAX_STEP + 1, text=f"{SPANS}, at most {MAX_STEP + 1} steps").check(
                 "deadline", self.deadline, optional=True
             )
         if self.first_only and self.loop == "open":
@@ -222,9 +222,9 @@ def make_roll_out(
         engine = whole if until is None else whole.until(until)
         most = choices.rollouts if choices.precision is None else MOST_ROLLOUTS
         controlled = choices.loop == "closed" and most >= LEAST
-        by_luck = choices.seed if controlled else None
+        by_threshold = choices.seed if controlled else None
         marks = () if choices.precision is None else looks()
-        for chunk in run_chunks(engine, most, checkpoints=marks, by_luck=by_luck):
+        for chunk in run_chunks(engine, most, checkpoints=marks, by_threshold=by_threshold):
             yield Stage(chunk.tally, engine.name, chunk.seconds, tables_seconds + chunk.compile_seconds)
 
     return roll_out

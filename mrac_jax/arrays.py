@@ -102,7 +102,7 @@ MOST_MAPS = UNIT
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Doubt:
+class Uncertainty:
     """`planner.world.uncertain_maps.Draws`, padded: one program for hazards and maps of all kinds. Axis `N`, places.
 
     Attributes:
@@ -122,7 +122,7 @@ class Doubt:
     spends: Array
 
 
-def make_map_uncertainty(drawn: Tables | JointDraws, key: tuple[int, int], spends: bool, size: int) -> Doubt:
+def make_map_uncertainty(drawn: Tables | JointDraws, key: tuple[int, int], spends: bool, size: int) -> Uncertainty:
     """The uncertain map of either loop (NumPy), padded to `size` places.
 
     Raises WorldError for more maps than a 24-bit word distinguishes.
@@ -138,20 +138,20 @@ def make_map_uncertainty(drawn: Tables | JointDraws, key: tuple[int, int], spend
         np.pad(each, (0, size - len(each))) for each in (drawn.own_counter, drawn.there, drawn.column)
     )
     return on_host(
-        Doubt, key=np.array(key, dtype=np.uint32), counter=counter, there=there, column=column, doses=doses,
+        Uncertainty, key=np.array(key, dtype=np.uint32), counter=counter, there=there, column=column, doses=doses,
         rows=np.uint32(rows), columns=np.int32(columns), spends=np.bool_(spends),
     )  # fmt: skip
 
 
-def uncertain_hazard(doubt: Doubt, rollout: jax.Array, place: jax.Array, most: Array) -> jax.Array:
+def uncertain_hazard(uncertainty: Uncertainty, rollout: jax.Array, place: jax.Array, most: Array) -> jax.Array:
     """Hazard of visits, uint32 `[.., 2]`, at these places in these rollouts; `most`: of an existing latent hazard."""
-    word = threefry2x32(doubt.key, rollout, _at(doubt.counter, place))[0] >> jnp.uint32(8)
+    word = threefry2x32(uncertainty.key, rollout, _at(uncertainty.counter, place))[0] >> jnp.uint32(8)
     row = jnp.zeros_like(word)
     for digit in range(DIGITS):  # word * rows >> 24, digit by digit: the product has up to 48 bits
         value = (word >> jnp.uint32(DIGIT * digit)) & jnp.uint32(2**DIGIT - 1)
-        row = (value * doubt.rows + row) >> jnp.uint32(DIGIT)
-    listed = _at(doubt.doses, row.astype(jnp.int32) * doubt.columns + _at(doubt.column, place))
-    return jnp.where((word < _at(doubt.there, place))[..., None], most, listed)
+        row = (value * uncertainty.rows + row) >> jnp.uint32(DIGIT)
+    listed = _at(uncertainty.doses, row.astype(jnp.int32) * uncertainty.columns + _at(uncertainty.column, place))
+    return jnp.where((word < _at(uncertainty.there, place))[..., None], most, listed)
 
 
 def _at(table: Array, places: jax.Array) -> jax.Array:

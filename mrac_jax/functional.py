@@ -133,7 +133,8 @@ def arrays(world: World, plan: Plan) -> PlanArrays:
     world.require_certain_map("mrac.functional")
     if plan.failure_model.types is not None:
         raise PlanError(
-            f"mrac.functional has one map p for all robots; here: {plan.failure_model.said}", fix="leave `types` out"
+            f"mrac.functional has one map p for all robots; here: {plan.failure_model.description}",
+            fix="leave `types` out",
         )
     compile_plan(plan, world)  # checks paths, and that no state is given
     entered = [robot.entered for robot in plan.robots]

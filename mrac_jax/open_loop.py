@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mrac_jax.arrays import (
     STATIC,
     Array,
-    Doubt,
+    Uncertainty,
     is_reached,
     less,
     make_map_uncertainty,
@@ -119,7 +119,8 @@ class PaddedDraws:
     """`open_loop_events.JointDraws` with rounded sizes; padding entries destroy no robot.
 
     Attributes:
-        slot, place, spot: `[E]`. exposure: uint32 `[E, 2]`, largest hazard of the entry; doubt: the actual hazard.
+        slot, place, spot: `[E]`. exposure: uint32 `[E, 2]`, largest hazard of the entry.
+        uncertainty: the actual hazard.
         count: int32 scalar, E without padding.
         last: int32 `[S]`. spent: `[spots]`, only its size is used: number of cells tracked in each rollout, at least 1.
     """
@@ -128,7 +129,7 @@ class PaddedDraws:
     place: Array
     exposure: Array
     spot: Array
-    doubt: Doubt
+    uncertainty: Uncertainty
     count: Array
     last: Array
     spent: Array
@@ -252,7 +253,7 @@ def pad_draws(joint: JointDraws, key: tuple[int, int], slot_pad: int) -> PaddedD
         place=place,
         exposure=uint64_pairs(exposure.astype(np.int64)),
         spot=spot if spends else np.zeros_like(spot),
-        doubt=make_map_uncertainty(joint, key, spends, size),
+        uncertainty=make_map_uncertainty(joint, key, spends, size),
         count=np.int32(len(joint.slot)),
         last=_grow(joint.last, slot_pad, dtype=np.int32),
         spent=np.zeros(power_bucket(joint.spots), dtype=np.bool_),
@@ -364,12 +365,12 @@ def _joint_outcomes(joint: PaddedDraws, left: jax.Array, rollouts: jax.Array) ->
             slot, spot = joint.slot[number], joint.spot[number]
             # Only live robots are tested, and only where no hazard was removed in this rollout.
             checked = (number < joint.count) & (outcome[slot] == joint.last[slot]) & ~spent[spot]
-            exposure = uncertain_hazard(joint.doubt, rollouts, number, joint.exposure[number])
+            exposure = uncertain_hazard(joint.uncertainty, rollouts, number, joint.exposure[number])
             exposure = jnp.where(checked[:, None], exposure, jnp.uint32(0))
             hit = checked & is_reached(left[slot], exposure)
             left = left.at[slot].set(less(left[slot], exposure))
             outcome = outcome.at[slot].set(jnp.where(hit, joint.place[number], outcome[slot]))
-            spent = spent.at[spot].set(spent[spot] | (hit & joint.doubt.spends))
+            spent = spent.at[spot].set(spent[spot] | (hit & joint.uncertainty.spends))
         return entry + ENTRIES_A_STEP, outcome, left, spent
 
     batch = rollouts.shape[0]

@@ -101,7 +101,7 @@ class Numbers:
     Attributes:
         least, most: the limits. above: `least` is excluded. below: `most` is excluded.
         what: noun for the message. whole: integers only; the float 8.0 is refused.
-        said: full text for the message, in place of `what` and the limits.
+        text: full text for the message, in place of `what` and the limits.
     """
 
     least: float = -math.inf
@@ -110,7 +110,7 @@ class Numbers:
     above: bool = False
     below: bool = False
     whole: bool = False
-    said: str = ""
+    text: str = ""
 
     @property
     def expected(self) -> str:
@@ -121,7 +121,7 @@ class Numbers:
             words = self.what if math.isinf(self.least) else first if self.above else f"{first} or more"
         else:
             words = f"{first}, {'below' if self.below else 'at most'} {most}" if self.above else f"{first} to {most}"
-        return self.said or words
+        return self.text or words
 
     def accepts(self, value: object) -> bool:
         """True for an accepted number."""
@@ -156,14 +156,14 @@ ANY = Numbers()
 """Every finite number."""
 
 
-def whole(least: float, most: float = math.inf, what: str = "a whole number", said: str = "") -> Numbers:
+def whole(least: float, most: float = math.inf, what: str = "a whole number", text: str = "") -> Numbers:
     """Whole numbers within these limits."""
-    return Numbers(least, most, what, whole=True, said=said)
+    return Numbers(least, most, what, whole=True, text=text)
 
 
 POSITIVE = Numbers(0, above=True)
 FRACTION = Numbers(0, 1, "a fraction")
-SEED = whole(0, 2**64 - 1, said="a whole number, 0 to 2**64 - 1")
+SEED = whole(0, 2**64 - 1, text="a whole number, 0 to 2**64 - 1")
 
 
 def check_word(

@@ -17,11 +17,11 @@ HIDDEN = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
 def visible(text: str, kept: str = "\n\t") -> str:
     r"""`text` with control characters (except those in `kept`), C1 and direction marks as escapes such as `\x1b`."""
 
-    def shown(letter: str) -> str:
+    def escaped(letter: str) -> str:
         hidden = unicodedata.category(letter) in HIDDEN and letter not in kept
         return letter.encode("unicode_escape").decode("ascii") if hidden else letter
 
-    return text if text.isprintable() else "".join(map(shown, text))
+    return text if text.isprintable() else "".join(map(escaped, text))
 
 
 PER_VISIT = "random numbers for each visit were removed in release 0.4; use release 0.3"

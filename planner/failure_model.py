@@ -189,7 +189,7 @@ class FailureModel:
         return self.shape == 1 and bool((np.asarray(self.hazard_multiplier) == 1).all())
 
     @property
-    def said(self) -> str:
+    def description(self) -> str:
         """Description of what differs from the plain model; "" if nothing does."""
         wear = f"Weibull shape {self.shape:g}" if self.shape != 1 else ""
         numbers = np.unique(np.asarray(self.hazard_multiplier, dtype=np.float64))
@@ -222,7 +222,7 @@ class FailureModel:
             UsageError: it is not.
         """
         if not self.is_plain:
-            problem = f"{what} requires the same p for all visits and robots; here: {self.said}"
+            problem = f"{what} requires the same p for all visits and robots; here: {self.description}"
             named = (
                 ("weibull_shape", "hazard_multiplier")
                 if self.types is None

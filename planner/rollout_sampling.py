@@ -39,7 +39,7 @@ class Luck:
         chance = self._chance(robot, cell, step)
         if chance == 0 or not self._reaches_threshold(robot, chance):
             return False
-        if isinstance(self._world.doubt, Hazard) and self._world.doubt.kind == "consumed":
+        if isinstance(self._world.uncertainty, Hazard) and self._world.uncertainty.kind == "consumed":
             # The first loss consumes the hazard for the rest of the rollout.
             self._spent.add(cell)
         return True
@@ -56,25 +56,25 @@ class Luck:
 
     def _chance(self, robot: int, cell: int, step: int) -> np.float32:
         """Probability that a visit of the cell in this step, in its state in this rollout, destroys the robot."""
-        doubt = self._world.doubt
+        uncertainty = self._world.uncertainty
         place = np.unravel_index(cell, self._world.shape)
-        if isinstance(doubt, Phases):
-            return doubt.threats[doubt.number_at(step)][place]
-        if doubt is None or isinstance(doubt, MovingThreats):
+        if isinstance(uncertainty, Phases):
+            return uncertainty.threats[uncertainty.number_at(step)][place]
+        if uncertainty is None or isinstance(uncertainty, MovingThreats):
             return self._own[min(robot, len(self._own) - 1)].met[place]
-        if isinstance(doubt, Hazard):
-            return doubt.h[place] if self._are_there(doubt, np.array([cell]))[0] else np.float32(0)
-        return doubt.chances[self._row(doubt, int(doubt.number[place])), doubt.column[place]]
+        if isinstance(uncertainty, Hazard):
+            return uncertainty.h[place] if self._are_there(uncertainty, np.array([cell]))[0] else np.float32(0)
+        return uncertainty.chances[self._row(uncertainty, int(uncertainty.number[place])), uncertainty.column[place]]
 
-    def _are_there(self, doubt: Hazard, cells: NDArray[np.integer]) -> NDArray[np.bool_]:
+    def _are_there(self, uncertainty: Hazard, cells: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Whether a hazard exists in each of the cells `[n]`, and has not been consumed."""
         words, _ = threefry2x32(own_key(self._seed, HAZARD_DRAW), self._rollout, cells)
-        drawn = (words >> np.uint32(8)) < doubt.q.ravel()[cells].astype(np.float64) * UNIT
+        drawn = (words >> np.uint32(8)) < uncertainty.q.ravel()[cells].astype(np.float64) * UNIT
         return np.asarray(drawn & ~np.isin(cells, list(self._spent)))
 
-    def _row(self, doubt: Uncertain, number: int) -> int:
+    def _row(self, uncertainty: Uncertain, number: int) -> int:
         """Index of the true map, or of the map for a level."""
-        return self._number(MAP_DRAW, number) * doubt.count // UNIT
+        return self._number(MAP_DRAW, number) * uncertainty.count // UNIT
 
     def _number(self, purpose: int, counter: int) -> int:
         """u * 2**24 of the numbers that determine the true map of the rollout."""
@@ -87,22 +87,22 @@ def _exposure(chance: np.float32) -> int:
     return int(exposure_of(chance))
 
 
-def true_map(doubt: Uncertain, seed: int, rollout: int) -> NDArray[np.float32]:
+def true_map(uncertainty: Uncertain, seed: int, rollout: int) -> NDArray[np.float32]:
     """float32 `[H, W]`, the true map of a rollout."""
-    return doubt.threat_at(rows_met(doubt, seed, rollout))
+    return uncertainty.threat_at(rows_met(uncertainty, seed, rollout))
 
 
-def hazards_met(doubt: Hazard, seed: int, rollouts: ArrayLike) -> NDArray[np.bool_]:
+def hazards_met(uncertainty: Hazard, seed: int, rollouts: ArrayLike) -> NDArray[np.bool_]:
     """bool `[..., N]`: cells with a hazard at the start of rollouts `[...]`."""
-    words, _ = threefry2x32(own_key(seed, HAZARD_DRAW), np.asarray(rollouts)[..., None], np.arange(doubt.q.size))
-    return np.asarray((words >> np.uint32(8)) < doubt.q.ravel().astype(np.float64) * UNIT)
+    words, _ = threefry2x32(own_key(seed, HAZARD_DRAW), np.asarray(rollouts)[..., None], np.arange(uncertainty.q.size))
+    return np.asarray((words >> np.uint32(8)) < uncertainty.q.ravel().astype(np.float64) * UNIT)
 
 
-def rows_met(doubt: Uncertain, seed: int, rollouts: ArrayLike) -> NDArray[np.int64]:
-    """int64 `[..., numbers]`, rows of `doubt.chances` in rollouts `[...]`, one for each of their numbers."""
-    numbers = np.arange(int(doubt.number.max()) + 1)
+def rows_met(uncertainty: Uncertain, seed: int, rollouts: ArrayLike) -> NDArray[np.int64]:
+    """int64 `[..., numbers]`, rows of `uncertainty.chances` in rollouts `[...]`, one for each of their numbers."""
+    numbers = np.arange(int(uncertainty.number.max()) + 1)
     words, _ = threefry2x32(own_key(seed, MAP_DRAW), np.asarray(rollouts)[..., None], numbers)
-    return (words >> np.uint32(8)).astype(np.int64) * doubt.count // UNIT
+    return (words >> np.uint32(8)).astype(np.int64) * uncertainty.count // UNIT
 
 
 # Moving threats of one rollout, in readable form: all engines agree with it (SPEC section 16).

@@ -137,7 +137,7 @@ class Setting:
             return value
         return tuple(map(float, value)) if isinstance(value, tuple) else float(value)
 
-    def shown(self, value: Any) -> str:
+    def format(self, value: Any) -> str:
         """A value, on pages."""
         if self.places and isinstance(value, tuple):
             return " ".join(f"[{row}, {col}]" for row, col in value)
@@ -347,7 +347,7 @@ class Settings:
         """
         typed = COMMAND_LINE.get() and not source
 
-        def said(name: str, value: str) -> str:
+        def message(name: str, value: str) -> str:
             return f"{argument(name)} {value}" if typed else f"{name} is {value}"
 
         def called(name: str) -> str:
@@ -364,12 +364,13 @@ class Settings:
                 shown = ",".join(map(str, value)) if typed and isinstance(value, tuple) else shown
                 expected = setting.expected("null" if source else "" if typed else "None")
                 fix = did_you_mean(value, setting.words) or setting.numbers.meant(value)
-                raise PlanError(said(name, shown), source=source, expected=expected, fix=fix)
+                raise PlanError(message(name, shown), source=source, expected=expected, fix=fix)
         for name in POLICY[1:]:
             if getattr(self, name) is not None and not self.rule.limited:
                 limited = " or ".join(rule.name for rule in RULES.values() if rule.limited)
                 raise PlanError(
-                    f"{said(name, SETTINGS[name].shown(getattr(self, name)))} with {called('policy')} {self.rule.name}",
+                    f"{message(name, SETTINGS[name].format(getattr(self, name)))} with {called('policy')} "
+                    f"{self.rule.name}",
                     source=source,
                     expected=f"{called('policy')} {limited}",
                     fix=f"leave {called(name)} out, or choose that policy",
@@ -378,22 +379,22 @@ class Settings:
             fix = f"leave one of {called('priority')} and {called('robot_value')} out"
             raise PlanError(f"{called('priority')} with {called('robot_value')}", source=source, fix=fix)
         if self.effort is not None and self.plan_for != "open_loop":
-            problem = f"{said('effort', str(self.effort))} with {called('plan_for')} {self.plan_for}"
+            problem = f"{message('effort', str(self.effort))} with {called('plan_for')} {self.plan_for}"
             expected, fix = f"{called('plan_for')} open_loop", f"leave {called('effort')} out"
             raise PlanError(problem, source=source, expected=expected, fix=fix)
         if self.recharge is not None and None in (self.range, self.return_to):
-            problem = f"{said('recharge', str(self.recharge))} without {called('range')} and {called('return_to')}"
+            problem = f"{message('recharge', str(self.recharge))} without {called('range')} and {called('return_to')}"
             raise PlanError(problem, source=source, fix=f"give both, or leave {called('recharge')} out")
 
-    def shown(self, pace: Pace = UNPACED) -> dict[str, str]:
+    def described(self, pace: Pace = UNPACED) -> dict[str, str]:
         """Every setting by its title, for pages."""
         said = {name: getattr(self, name) for name in SETTINGS} | {"policy": self.rule.name}
         said["in_area"] = self.in_area if isinstance(self.in_area, str) else "the user's own"
-        shown = {setting.title: setting.shown(said[name]) for name, setting in SETTINGS.items()}
+        shown = {setting.title: setting.format(said[name]) for name, setting in SETTINGS.items()}
         ends = {SETTINGS[name].title: said[name] for name in ("deadline", "max_steps") if said[name] is not None}
         return shown | {title: shown[title] + pace.also(step) for title, step in ends.items()}
 
-    def said(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """Every setting by its name. The `id` of its object names a user-defined one, in this process only."""
         said = {name: getattr(self, name) for name in SETTINGS}
         said = {name: SETTINGS[name].plain(value) for name, value in said.items()}
@@ -407,12 +408,12 @@ class Settings:
         """The settings for plan files and identities. Those marked `later` are left out at their default."""
         plain = _defaults()
         later = {name for name in plain if name not in SETTINGS or SETTINGS[name].later}
-        return {name: value for name, value in self.said().items() if name not in later or value != plain[name]}
+        return {name: value for name, value in self.as_json().items() if name not in later or value != plain[name]}
 
 
 @cache
 def _defaults() -> dict[str, Any]:
-    return Settings().said()
+    return Settings().as_json()
 
 
 SETTINGS: dict[str, Setting] = {item.name: item.metadata["setting"] for item in fields(Settings) if item.metadata}
@@ -444,14 +445,14 @@ OPTIONS: dict[str, Setting] = SETTINGS | dict([
             words=LOOP_WORDS),
     _option(ROLLOUTS, "rollouts", "Number of rollouts.", numbers=whole(1, MOST_ROLLOUTS)),
     _option(ROLLOUTS, "precision", "Stop at this half-width of the 95 % interval of mean coverage, a fraction.",
-            numbers=Numbers(0, 1, above=True, below=True, said="a fraction of the accessible cells in (0, 1)")),
+            numbers=Numbers(0, 1, above=True, below=True, text="a fraction of the accessible cells in (0, 1)")),
     _option(ROLLOUTS, "seed", "Seed of the rollouts; the map and the plan do not depend on it (default: 0).",
             numbers=SEED, default=0),
     _option(ROLLOUTS, "engine", "Simulator; results do not depend on it. auto: numba, or jax on a GPU (default).",
             words=ENGINES, default="auto", rare=True),
     _option(ROLLOUTS, "exact", "Compute exact closed-loop values of small teams: auto (about 2 s), never, or seconds "
             "(default: auto).", "effort", default="auto", rare=True,
-            numbers=Numbers(0, 1e6, above=True, said="auto, never, or a number of seconds above 0, at most 1e6")),
+            numbers=Numbers(0, 1e6, above=True, text="auto, never, or a number of seconds above 0, at most 1e6")),
     _option(ROLLOUTS, "threat_checks", "Visits that may destroy a robot: every_visit (default), or the first_visit of "
             "each cell by any robot.", words=("every_visit", "first_visit"), default="every_visit", rare=True),
     _option(ROLLOUTS, "seconds", "Stop after this many seconds of rollouts (default: 10; none with --rollouts or "

@@ -162,7 +162,8 @@ class Tally:
         visits, stops: entries into each cell (re-visits included), and robots lost there.
         covered_visited, covered_survived: rollouts in which the cell was covered.
         passes: rollouts with 1, 2, ... P or more survived visits of the cell (`ClosedLoop.weighing`).
-        by_luck: sums of figures by class of the team's total failure threshold (`planner.rollouts.threshold_classes`).
+        by_threshold: sums of figures by class of the team's total failure threshold
+            (`planner.rollouts.threshold_classes`).
         home: rollouts by robots alive at a base at the end; empty if robots do not return.
     """
 
@@ -181,7 +182,7 @@ class Tally:
     covered_visited: ByCell
     covered_survived: ByCell
     passes: ByPasses = field(default_factory=no_counts)
-    by_luck: ByThreshold = field(default_factory=no_counts)
+    by_threshold: ByThreshold = field(default_factory=no_counts)
     home: ByHome = field(default_factory=no_counts)
 
     @classmethod

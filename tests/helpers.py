@@ -127,7 +127,7 @@ def part(tally: Tally, results: RolloutResults, begin: int, end: int, seed: int 
         name: np.bincount(getattr(own, column), minlength=len(getattr(tally, name))) for name, column in SINGLE.items()
     }
     if seed is not None:
-        counts["by_luck"] = sums_by_threshold(own, seed, tally.robots)
+        counts["by_threshold"] = sums_by_threshold(own, seed, tally.robots)
     return replace(tally, ids=((own.start, own.start + end - begin),), **counts)
 
 

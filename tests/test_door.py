@@ -64,13 +64,13 @@ def test_names_of_release_0_3_work_with_one_warning_and_are_not_listed() -> None
         "mission": lambda old: old(world, 1).orders,
         "reproduce": lambda old: old("fig4", maps=1, rollouts=1, processes=1, progress=False).points,
         "to_networkx": lambda old: old(world).nodes,
-        "with_hazard": lambda old: old(world, "persistent", 0.5).doubt,
-        "with_maps": lambda old: old(world, [world.threat]).doubt,
+        "with_hazard": lambda old: old(world, "persistent", 0.5).uncertainty,
+        "with_maps": lambda old: old(world, [world.threat]).uncertainty,
         "with_movers": lambda old: old(world, [{"walk": 0.5, "h": 0.2}]).movers,
         "with_phases": lambda old: old(world, [(3, [[0, 0, 0, 0]])]).phases,
         "with_prior": lambda old: old(world, 0.1, sense=1).knowledge,
         "with_sense": lambda old: old(world.with_prior_map(0.1), 2).knowledge,
-        "with_spread": lambda old: old(world, "lognormal", 0.3).doubt,
+        "with_spread": lambda old: old(world, "lognormal", 0.3).uncertainty,
         "with_truth": lambda old: old(world, world).knowledge,
     }
     assert set(calls) == set(mrac.OF_0_3)

@@ -62,7 +62,7 @@ def test_the_open_loop_is_exact_on_each_map() -> None:
     said = json.loads(json.dumps(answer.to_json()))
     play = open_loop(plan, world)
     means = np.sort([expected(play, one_of([one.ravel()]))[0] / answer.tally.accessible for one in MAPS])
-    doubt = said["map_doubt"]
+    doubt = said["map_variance"]
     assert (doubt["maps"], doubt["rollouts"]) == (3, 0)
     np.testing.assert_allclose(doubt["mean_of_means"], means.mean(), rtol=1e-9)
     np.testing.assert_allclose(list(doubt["quantiles"].values()), means, rtol=1e-9)
@@ -73,7 +73,7 @@ def test_the_open_loop_is_exact_on_each_map() -> None:
     cells = np.arange(9) / 8
     mean = answer.tally.visited @ cells / 4096
     np.testing.assert_allclose(total, answer.tally.visited @ (cells - mean) ** 2 / 4096, rtol=1e-3)
-    assert figure_of(report(answer), "doubt.png").axes
+    assert figure_of(report(answer), "map_variance.png").axes
 
 
 ROW = World.create([[0.0, 0.1, 0.0, 0.3, 0.0, 0.0]])
@@ -98,7 +98,7 @@ def doubtful(kind: str) -> tuple[World, tuple[float, float]]:
     if kind == "alike":
         return ROW.with_maps([ROW.threat] * 100), parts_of(*np.array([[0.1], [0.3]]))
     world = ROW.with_spread("lognormal", 0.8, kind)
-    first, second = (world.doubt.chances[:, world.doubt.column[0, cell]] for cell in (1, 3))
+    first, second = (world.uncertainty.chances[:, world.uncertainty.column[0, cell]] for cell in (1, 3))
     pairs = (first, second) if kind == "common" else (np.repeat(first, 256), np.tile(second, 256))
     return world, parts_of(*pairs)
 
@@ -114,7 +114,7 @@ def test_doubt_and_luck_are_told_apart(kind: str, seeds: int) -> None:
     world, truth = doubtful(kind)
     held, variances = np.zeros(2), []
     for seed in range(seeds):
-        said = mrac.evaluate(world, 1, seed=seed, **(QUIET | {"rollouts": 4096})).to_json()["map_doubt"]
+        said = mrac.evaluate(world, 1, seed=seed, **(QUIET | {"rollouts": 4096})).to_json()["map_variance"]
         assert 0.98 * KINDS[kind][0] <= said["maps"] <= KINDS[kind][0] and said["of"] == KINDS[kind][1]
         for at, name in enumerate(("maps", "luck")):
             low, high = said["sd_ci95"][name]
@@ -133,13 +133,13 @@ def test_the_maps_means_scatter_as_the_maps_do() -> None:
     """Not by the noise of their rollouts too; and they say of how many maps they are, on paper and in the picture."""
     world, truth = doubtful("common")
     answer = mrac.evaluate(world, 1, **(QUIET | {"rollouts": 20_000}))
-    doubt = answer.outputs["map_doubt"]
+    doubt = answer.outputs["map_variance"]
     assert doubt.means.std() == pytest.approx(doubt.parts.between.mean) == pytest.approx(truth[0], rel=0.05)
     assert abs(doubt.means.mean() - answer.tally.visited @ np.arange(7) / 6 / 20_000) < 0.005
     assert "256 maps, 20,000 rollouts" in doubt.chart().title + doubt.blocks().notes[0]
-    few = mrac.evaluate(world, 1, **(QUIET | {"rollouts": 100})).outputs["map_doubt"]
+    few = mrac.evaluate(world, 1, **(QUIET | {"rollouts": 100})).outputs["map_variance"]
     assert few.behind == "64 maps drawn of 256, 1,024 rollouts"
-    drawn = mrac.evaluate(doubtful("level")[0], 1, loop="open", **QUIET).outputs["map_doubt"]
+    drawn = mrac.evaluate(doubtful("level")[0], 1, loop="open", **QUIET).outputs["map_variance"]
     assert drawn.behind == "1,024 maps drawn of 65,536, exact on each"
     assert drawn.parts.between.ci95[0] < doubtful("level")[1][0] < drawn.parts.between.ci95[1]
 
@@ -151,7 +151,7 @@ def test_what_is_not_known_is_null_and_said(capsys: pytest.CaptureFixture[str]) 
     answer = mrac.evaluate(mines, 2, loop="open", **QUIET)
     said = answer.to_json()
     assert set(said["exact"]["open_loop"].values()) == {None}
-    assert "map_doubt" not in said
+    assert "map_variance" not in said
     assert answer.losses.ci95[0] < answer.losses.ci95[1]
     print_report(report(answer, theory=True), Console(width=120))
     printed = capsys.readouterr().out
@@ -211,13 +211,13 @@ def test_each_team_is_what_it_is_by_itself(answer: Evaluation) -> None:
         assert team.coverage.mean == pytest.approx(alone[team.range].mean(), abs=1e-12)
     assert found.learning.coverage.mean == answer.visited.mean
     assert (alone[inf] == visited(TOLD, mrac.plan(TOLD), COUNT) / cells).all()
-    price, apart = found.told.ahead(found.learning), alone[inf] - alone[2]
+    price, apart = found.known_map.ahead(found.learning), alone[inf] - alone[2]
     assert price.mean == pytest.approx(apart.mean()) and price.se == pytest.approx(apart.std(ddof=1) / COUNT**0.5)
     data = json.loads(json.dumps(answer.to_json()))["knowledge"]
     assert data["price_of_not_knowing"]["mean"] == price.mean and data["curve"][-1]["range"] == "inf"
-    assert data["worth_of_sensing"]["mean"] == pytest.approx((alone[2] - alone[0]).mean())
+    assert data["value_of_sensing"]["mean"] == pytest.approx((alone[2] - alone[0]).mean())
     assert [(step["from"], step["to"]) for step in data["steps"]] == [(1, 2), (2, 3)]
-    assert [step["worth"]["mean"] for step in data["steps"]] == pytest.approx(
+    assert [step["gain"]["mean"] for step in data["steps"]] == pytest.approx(
         [(alone[2] - alone[1]).mean(), (alone[3] - alone[2]).mean()]
     )
     assert data["rollouts"] == COUNT and data["curve"][-1]["behind"]["mean"] == 0
@@ -261,8 +261,8 @@ def test_a_start_that_is_falsely_believed_an_obstacle(tmp_path: Path) -> None:
 
 def test_small_teams_are_known_exactly() -> None:
     found = mrac.evaluate(DARK, rollouts=2000, advice=False, band=False).outputs["knowledge"]
-    assert isinstance(found, Knowledge) and found.behind == "exact" and found.blind is not None
-    worth, cells = found.learning.ahead(found.blind), found.told.found.largest("visited")
+    assert isinstance(found, Knowledge) and found.behind == "exact" and found.no_sensor is not None
+    worth, cells = found.learning.ahead(found.no_sensor), found.known_map.found.largest("visited")
     blind = DARK.with_sensor_range(0)
     sampled = [visited(world, mrac.plan(world), 20_000) / cells for world in (DARK, blind)]
     assert worth.half_width == 0
@@ -275,12 +275,12 @@ def test_where_the_map_is_drawn_who_is_told_plans_on_each() -> None:
     world = TOLD.with_maps(maps).with_sensor_range(1)
     found = mrac.evaluate(world, rollouts=COUNT, advice=False, band=False).outputs["knowledge"]
     assert isinstance(found, Knowledge)
-    rows, by_map = rows_met(world.doubt, 0, np.arange(COUNT))[:, 0], []  # type: ignore[arg-type]
+    rows, by_map = rows_met(world.uncertainty, 0, np.arange(COUNT))[:, 0], []  # type: ignore[arg-type]
     for row in range(2):
-        one = replace(TOLD, threat=world.doubt.threat_at(row))  # type: ignore[union-attr]
+        one = replace(TOLD, threat=world.uncertainty.threat_at(row))  # type: ignore[union-attr]
         by_map.append(visited(one, mrac.plan(one), COUNT))
     mine = np.where(rows == 0, *by_map)
-    assert found.told.coverage.mean * found.told.found.largest("visited") == pytest.approx(mine.mean())
+    assert found.known_map.coverage.mean * found.known_map.found.largest("visited") == pytest.approx(mine.mean())
 
 
 def test_who_sees_everything_of_a_drawn_map_is_not_who_is_told_it() -> None:
@@ -290,9 +290,9 @@ def test_who_sees_everything_of_a_drawn_map_is_not_who_is_told_it() -> None:
     answer = mrac.evaluate(TOLD.with_maps(maps).with_sensor_range(inf), rollouts=COUNT, advice=False, band=False)
     found = answer.outputs["knowledge"]
     assert isinstance(found, Knowledge) and [team.range for team in found.teams] == [0, inf, inf]
-    assert found.learning is not found.told
+    assert found.learning is not found.known_map
     assert found.learning.coverage.mean == pytest.approx(answer.figures.visited.mean.mean / answer.cells["accessible"])
-    assert found.told.ahead(found.learning).mean != 0
+    assert found.known_map.ahead(found.learning).mean != 0
 
 
 def test_of_many_maps_the_first_ones_are_planned_on() -> None:
@@ -301,12 +301,12 @@ def test_of_many_maps_the_first_ones_are_planned_on() -> None:
     world = TOLD.with_maps(maps).with_sensor_range(1)
     found = mrac.evaluate(world, rollouts=300, advice=False, band=False).outputs["knowledge"]
     assert isinstance(found, Knowledge)
-    rows = rows_met(world.doubt, 0, np.arange(300))[:, 0]  # type: ignore[arg-type]
+    rows = rows_met(world.uncertainty, 0, np.arange(300))[:, 0]  # type: ignore[arg-type]
     first = list(dict.fromkeys(rows.tolist()))[:MOST_MAPS]
     kept = np.isin(rows, first)
-    assert len(first) == MOST_MAPS and found.told.found.rollouts == int(kept.sum()) < 300
+    assert len(first) == MOST_MAPS and found.known_map.found.rollouts == int(kept.sum()) < 300
     mine = visited(world, mrac.plan(world), 300)[kept]
-    assert found.learning.coverage.mean * found.told.found.largest("visited") == pytest.approx(mine.mean())
+    assert found.learning.coverage.mean * found.known_map.found.largest("visited") == pytest.approx(mine.mean())
 
 
 def test_fog_is_what_nobody_has_seen(answer: Evaluation) -> None:
@@ -375,15 +375,15 @@ def test_three_teams_on_the_same_luck_and_what_is_known_in_the_end(tmp_path):
     found = answer.outputs["experience"]
     said = json.loads(json.dumps(answer.to_json()))["experience"]
     blind = mrac.evaluate(SITE.with_latent_hazard("persistent", Q, 0.5), 2, rollouts=300, seed=4, **QUIET_EXPERIENCE)
-    assert (found.blind.tally.visited == blind.tally.visited).all()
+    assert (found.no_learning.tally.visited == blind.tally.visited).all()
     assert (found.learning.tally.visited == answer.tally.visited).all()
-    ahead = found.learning.column("visited") - found.blind.column("visited")
-    np.testing.assert_allclose(said["worth_of_learning"]["mean"], ahead.mean() / answer.tally.accessible)
+    ahead = found.learning.column("visited") - found.no_learning.column("visited")
+    np.testing.assert_allclose(said["value_of_learning"]["mean"], ahead.mean() / answer.tally.accessible)
     # a rollout of the told ones, by hand: its own map, planned for and rolled out
-    there = hazards_met(world.doubt, 4, [7])[0].reshape(SITE.shape)
+    there = hazards_met(world.uncertainty, 4, [7])[0].reshape(SITE.shape)
     told = SITE.with_latent_hazard("persistent", np.where(there, 1.0, 0.0), 0.5)
     run = PythonLoop(mrac.plan(told, starts=answer.plan.starts), told).run(4, 7)
-    assert found.told.column("visited")[7] == run.visited.sum()
+    assert found.known_hazards.column("visited")[7] == run.visited.sum()
     assert (said["maps"], said["rollouts"], said["posterior"]["rollouts"]) == (128, 300, 256)
     bits = said["posterior"]["entropy"]
     np.testing.assert_allclose(bits["before"], entropy_of(Q)[found.reach].mean(), rtol=1e-6)
@@ -411,7 +411,7 @@ def test_sure_stops_are_told_too_and_consumed_ones_vanish():
 def test_who_has_nothing_to_learn_is_told_and_blind_alike():
     world = SITE.with_latent_hazard("persistent", np.where(Q > 0.3, 1.0, 0.0), 0.4, learn=True)
     found = mrac.evaluate(world, 2, rollouts=64, **QUIET_EXPERIENCE).outputs["experience"]
-    for other in (found.told, found.blind):
+    for other in (found.known_hazards, found.no_learning):
         assert (other.column("visited") == found.learning.column("visited")).all()
     assert found.bits == (0.0, 0.0)
 

@@ -176,7 +176,7 @@ def check_one_meaning(said: str) -> None:
 def test_the_headline_has_a_half_width_and_what_19_of_20_runs_reach(capsys: pytest.CaptureFixture[str]) -> None:
     world = mrac.load([[0, 0.1, 0, 0.2], [0, 0, 0.1, 0]])
     answer = mrac.evaluate(world, 2, rollouts=2000, exact="never", advice=False, band=False)
-    said, mean = headline(answer), without_level(answer.visited.said(100, " %"))
+    said, mean = headline(answer), without_level(answer.visited.describe(100, " %"))
     assert "±" in mean and said.startswith(f"2 robots visit {mean} of the accessible cells on average (at least ")
     assert " % in 19 of 20 runs) and lose " in said
     check_one_meaning(said)
@@ -335,10 +335,10 @@ def test_losses_in_a_table_are_figures_that_claim_neither_end() -> None:
 
 
 def test_what_was_never_seen_is_said_as_the_most_that_it_may_be() -> None:
-    assert Estimate(0.0, 0.0, (0.0, 0.0009)).said(100, " %") == "0 % (0.1 or less, 95 %)"
-    assert Estimate(0.0, 0.1, (-0.2, 0.2)).said() == "0.0 ± 0.2 (95 %)"
-    assert Estimate(-1e-17, 0.1, (-0.2, 0.2)).said() == "0.0 ± 0.2 (95 %)", "not -0.0"
-    assert Estimate(0.0, 0.0, (0.0, 0.0)).said() == "0.00 (exact)"
+    assert Estimate(0.0, 0.0, (0.0, 0.0009)).describe(100, " %") == "0 % (0.1 or less, 95 %)"
+    assert Estimate(0.0, 0.1, (-0.2, 0.2)).describe() == "0.0 ± 0.2 (95 %)"
+    assert Estimate(-1e-17, 0.1, (-0.2, 0.2)).describe() == "0.0 ± 0.2 (95 %)", "not -0.0"
+    assert Estimate(0.0, 0.0, (0.0, 0.0)).describe() == "0.00 (exact)"
 
 
 def test_chances_in_a_table_have_the_digits_of_their_interval() -> None:
@@ -448,7 +448,7 @@ def test_figures_have_the_digits_that_their_interval_allows() -> None:
         (0.007, "86 % ± 1"),
     ):
         found = Estimate(0.85678, half / 2, (0.85678 - half, 0.85678 + half))
-        assert found.said(100, " %") == f"{said} (95 %)"
+        assert found.describe(100, " %") == f"{said} (95 %)"
     for half in np.geomspace(1e-6, 30, 400):
         digits = digits_of(half)
         assert 0.5 * 10.0**-digits <= half * (1 + 1e-6) or digits == 0
@@ -509,9 +509,9 @@ def test_no_rounding_claims_an_end_that_is_not_reached() -> None:
 
 
 def test_an_exact_share_is_whole_only_where_it_is() -> None:
-    assert exactly(0.99995).said(100, " %") == "> 99.99 % (exact)"
-    assert exactly(1.0).said(100, " %") == "100 % (exact)" and exactly(0.0).columns(100, 100) == ("0", "exact")
-    assert exactly(3e-5).said(100, " points") == "0.003 points (exact)", "what is known is not said to be nothing"
+    assert exactly(0.99995).describe(100, " %") == "> 99.99 % (exact)"
+    assert exactly(1.0).describe(100, " %") == "100 % (exact)" and exactly(0.0).columns(100, 100) == ("0", "exact")
+    assert exactly(3e-5).describe(100, " points") == "0.003 points (exact)", "what is known is not said to be nothing"
 
 
 @pytest.mark.parametrize(
@@ -525,7 +525,7 @@ def test_an_exact_share_is_whole_only_where_it_is() -> None:
     ],
 )
 def test_a_symmetric_interval_stays_in_what_is_possible(estimate: Estimate, said: str, table: str) -> None:
-    assert (estimate.said(100, " %"), estimate.around(100, most=100)) == (said, table)
+    assert (estimate.describe(100, " %"), estimate.around(100, most=100)) == (said, table)
 
 
 def test_an_interval_has_its_unit_where_it_is_read() -> None:
@@ -540,7 +540,7 @@ def test_no_printed_share_leaves_0_to_100() -> None:
         mean = float(rng.choice([rng.beta(0.1, 0.1), rng.random() ** 8, 1 - rng.random() ** 8]))
         wide = float(10 ** rng.uniform(-6, 0))
         estimate = Estimate(mean, wide / 2, (max(mean - wide, 0.0), min(mean + wide * rng.random(), 1.0)))
-        for text in (estimate.said(100, " %"), estimate.around(100, most=100, digits=int(rng.integers(1, 3)))):
+        for text in (estimate.describe(100, " %"), estimate.around(100, most=100, digits=int(rng.integers(1, 3)))):
             first, *rest = re.findall(r"\d+(?:\.\d+)?", text.removesuffix("95 %)"))
             if "±" in text:
                 assert float(first) - float(rest[0]) >= -1e-9 and float(first) + float(rest[0]) <= 100 + 1e-9, text

@@ -188,7 +188,7 @@ def test_answers_are_the_engine_s(loop: Any) -> None:
     world, plan = scattered()
     found = mrac.evaluate(world, plan, loop=loop, rollouts=2000, advice=False, engine="numba")
     engine = make_engine(plan, world, Rolling(loop, seed=0), "numba")
-    counts = replace(found.tally, by_luck=np.empty(0, np.int64))  # its sums by luck: test_statistics
+    counts = replace(found.tally, by_threshold=np.empty(0, np.int64))  # its sums by luck: test_statistics
     assert counts == engine.tally(0, 2000)
     band = found.outputs["band"]
     middle = -(-band.rollouts // 2) - 1

@@ -48,7 +48,7 @@ def same_both_ways(number: int) -> Counter[str]:
     python = patch("planner.rollouts.runners.run_group_tasks", interpreted("rollouts").run_group_tasks)
     with python, patch("planner.make_plan.LARGE", 0), np.errstate(over="ignore"):
         assert make_plan(world, starts, settings).to_json() == plan.to_json(), number
-    learns = isinstance(world.doubt, Hazard) and world.doubt.learn
+    learns = isinstance(world.uncertainty, Hazard) and world.uncertainty.learn
     runs = play_both_ways(plan, world, number, 3, first_only=number % 4 == 3 and not learns)
     seen = Counter((f"nominal {plan.outcome}", *(run.outcome.word for run in runs)))
     for run in runs:

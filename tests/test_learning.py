@@ -545,8 +545,8 @@ class Script:
     consumed stops nobody any more."""
 
     def __init__(self, world, stops):
-        self.may, self.stops, self.consumed = (world.threat > 0).ravel(), stops, world.doubt.kind == "consumed"
-        self.sure = (world.doubt.h == 1).ravel() & (world.doubt.kind == "persistent")
+        self.may, self.stops, self.consumed = (world.threat > 0).ravel(), stops, world.uncertainty.kind == "consumed"
+        self.sure = (world.uncertainty.h == 1).ravel() & (world.uncertainty.kind == "persistent")
         self.visits, self.known = [0, 0], {}
 
     def hit(self, robot, step, cell):
@@ -588,7 +588,7 @@ class Both:
 
     def theirs(self, hit, alarm=wants):
         width = self.world.shape[1]
-        q, h = (one.astype(np.float64) for one in (self.world.doubt.q, self.world.doubt.h))
+        q, h = (one.astype(np.float64) for one in (self.world.uncertainty.q, self.world.uncertainty.h))
         starts = [divmod(int(cell), width) for cell in self.problem.starts]
         twin = Pupil(
             q, h, self.kind == "consumed", starts, self.areas, lambda i, t, c: hit(i, t, c[0] * width + c[1]),
@@ -639,7 +639,9 @@ def test_all_that_can_happen_on_a_hidden_map_is_what_rollouts_come_to(number, ki
     count = 5_000
     q, h = TINY[number]
     both = Both(q, h, kind, [[0, 0], [0, 0]])
-    there, hits = (np.nan_to_num(one.ravel().astype(np.float64)) for one in (both.world.doubt.q, both.world.doubt.h))
+    there, hits = (
+        np.nan_to_num(one.ravel().astype(np.float64)) for one in (both.world.uncertainty.q, both.world.uncertainty.h)
+    )
 
     def play(hit, both=both):
         _, visited, _, twin = both.theirs(hit)
@@ -670,7 +672,7 @@ def hidden(world, seed, count):
     """Where a hazard is at first in each rollout, bool `[count, N]`, drawn as docs/spec.md, section 13, says."""
     cells = np.arange(world.threat.size)
     words, _ = threefry2x32(own_key(seed, 0), np.arange(count)[:, None], cells)
-    return (words >> np.uint32(8)) < bounds_of(world.doubt.q).ravel()
+    return (words >> np.uint32(8)) < bounds_of(world.uncertainty.q).ravel()
 
 
 @pytest.mark.parametrize("detector", [None, (2, 0.7, 0.2)])
@@ -680,7 +682,7 @@ def test_posteriors_are_calibrated_and_their_mean_is_the_prior_in_every_cell(det
     plan = make_plan(world, place_starts(world, 3)[0])
     loop = compile_closed_loop(plan, world)
     posterior, visits = chance_of(final_odds(loop, 17, 0, count)), run_range(loop, 17, 0, count)[0].visits[loop.cells]
-    there, prior = hidden(world, 17, count)[:, loop.cells], world.doubt.q.ravel()[loop.cells].astype(float)
+    there, prior = hidden(world, 17, count)[:, loop.cells], world.uncertainty.q.ravel()[loop.cells].astype(float)
     often = visits * prior * 0.4 > 40  # stops expected: with few a mean is skewed, and cells are tested together
     apart = np.column_stack([(posterior - prior)[:, often], (posterior - prior)[:, ~often].sum(axis=1)])
     assert often.sum() > 30
@@ -748,7 +750,7 @@ def test_no_count_depends_on_threads_or_chunks(detector, monkeypatch):
 
 
 def test_bayes_rule_in_whole_numbers():
-    evidence = taught([[0.2, 1, 0]], [[0.5, 0.5, 1]], "persistent", (1, 0.8, 0.1)).doubt.evidence
+    evidence = taught([[0.2, 1, 0]], [[0.5, 0.5, 1]], "persistent", (1, 0.8, 0.1)).uncertainty.evidence
     assert evidence.prior.tolist() == [round(np.log(0.25) * NAT), ALWAYS, NEVER]
     after = evidence.read(evidence.prior, np.array([0, 0, 1, 2]), np.array([True, False, False, True]))
     q = float(np.float32(0.2))
@@ -769,7 +771,7 @@ def test_worlds_say_what_is_wrong_with_them_experience(tmp_path):
     with pytest.raises(WorldError, match="do not support this uncertainty"):
         with_prior(world, 0.1, sense=1)
     with pytest.raises(WorldError, match="learn: true"):
-        with_sense(replace(world, doubt=replace(world.doubt, learn=False)), 1)
+        with_sense(replace(world, uncertainty=replace(world.uncertainty, learn=False)), 1)
     plan = make_plan(world, [[0, 0]])
     with pytest.raises(WorldError, match=r"first_visit.*leave `learn` out"):
         compile_closed_loop(plan, world, first_only=True)
@@ -784,8 +786,8 @@ def test_scenarios_and_world_files_keep_it(tmp_path):
     world.save(tmp_path / "w.npz")
     again = load_input(tmp_path / "w.npz")
     assert again.randomness_sha256 == world.randomness_sha256
-    assert again.doubt.detector == world.doubt.detector
-    World.create(world.doubt.q).save(tmp_path / "q.npz")
+    assert again.uncertainty.detector == world.uncertainty.detector
+    World.create(world.uncertainty.q).save(tmp_path / "q.npz")
     text = "map: q.npz\nlatent_hazard: {kind: consumed, h: 0.5, learn: true}\nsensor_range: {range: 2, %s}\n"
     (tmp_path / "s.yaml").write_text(text % "sight: true, detect: 0.8, false_alarm: 0.1")
     assert load_input(tmp_path / "s.yaml").randomness_sha256 == world.randomness_sha256
@@ -815,7 +817,7 @@ def phases(number: int) -> tuple[World, NDArray[np.int64], Settings]:
 
 def as_happened(trace: Trace, world: World, *_: Any) -> Believed:
     """p by Bayes' rule, of what visits and stops told: three survived visits of a cell at most."""
-    hazard: Any = world.doubt
+    hazard: Any = world.uncertainty
     hits, sure = hazard.h.ravel().astype(np.float64), {0.0, 1.0}
     first = hazard.q.ravel().astype(np.float64)
     chance, passed = first.copy(), np.zeros(first.size, dtype=int)
@@ -863,7 +865,7 @@ def agree_lessons_home(kind: str, number: int, rollouts: int = 2) -> NDArray[np.
         np.testing.assert_array_equal(singles.home, singles.alive)
     events = np.concatenate([trace.events[:, 2] for trace in traces])
     found = [int((events == event).sum()) for event in (EventKind.SURPRISED, EventKind.HOME)]
-    learns: Any = world.doubt
+    learns: Any = world.uncertainty
     if kind == "hazards" and (learns.detector is not None or not loop.learns):
         return np.array([*found, 0])
     for trace in traces if loop.learns else ():

@@ -701,7 +701,7 @@ def test_everything_that_speaks_of_settings_follows_from_the_table() -> None:
     typed = {name: value for name, value in OTHER.items() if name not in found}
     assert Given(typed).choices.given() == typed
     assert Settings(**Choices().given()) == Settings()
-    assert len(Settings().shown()) == len(SETTINGS)
+    assert len(Settings().described()) == len(SETTINGS)
 
 
 @pytest.mark.parametrize("name", SETTINGS)

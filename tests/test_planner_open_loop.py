@@ -17,7 +17,7 @@ from validate import validate
 
 import mrac_jax as mrac
 from analysis.cli.app import run
-from analysis.theory.exact import Worth, open_loop_exact
+from analysis.theory.exact import CellValues, open_loop_exact
 from analysis.theory.flow_programme import optimum
 from planner.errors import PlanError, UsageError
 from planner.make_plan import make_plan
@@ -57,7 +57,7 @@ def test_one_robot_gets_the_most_value_of_tiny_worlds(seed: int) -> None:
     worth[0, 1] = 7.0
     world = world.with_values(worth)
     plan = planned(world, [[0, 0]], 20_000)
-    found = float(Worth.of(world).value @ open_loop_exact(plan, world).visited_by_cell)
+    found = float(CellValues.of(world).value @ open_loop_exact(plan, world).visited_by_cell)
     assert found == pytest.approx(best_of_one_robot(world), abs=1e-9)
     assert plan.notes[0].startswith(f"planned for the open loop: {found:.2f} of value expected, ")
 
@@ -67,7 +67,7 @@ def test_teams_go_where_the_value_is_and_equal_values_change_nothing() -> None:
     starts = place_starts(world, 2)[0]
     east = np.where(np.arange(12) >= 6, 20.0, 1.0) * np.ones((12, 1))
     valued, plain = world.with_values(east), planned(world, starts)
-    worth = Worth.of(valued).value
+    worth = CellValues.of(valued).value
     by_value, by_cells = (
         float(worth @ open_loop_exact(plan, world).visited_by_cell) for plan in (planned(valued, starts), plain)
     )

@@ -417,10 +417,10 @@ def test_where_cells_are_worth_something_gains_are_in_value() -> None:
     found = answer.to_json()
     assert found["value_gain"] == answer.gain.value.to_json() and found["threats"][0]["unknown"]["value"]  # type: ignore[union-attr]
     assert " of value " in removal_summary(answer)
-    assert answer.gain is not None and answer.gain.counted.said(unit=" of value") in removal_summary(
+    assert answer.gain is not None and answer.gain.counted.describe(unit=" of value") in removal_summary(
         answer
     )  # fresh rollouts
-    assert best.counted.said(unit=" of value") not in removal_summary(answer)
+    assert best.counted.describe(unit=" of value") not in removal_summary(answer)
 
 
 def test_the_gradient_is_that_of_the_closed_form() -> None:

@@ -34,7 +34,7 @@ from analysis.search.team_size import TeamVerdict, find_size, make_goal
 from analysis.search.threats import find_clearing
 from analysis.statistics.estimates import Estimate, bet_interval
 from analysis.statistics.variance_reduction import LEAST
-from analysis.theory.exact import Worth
+from analysis.theory.exact import CellValues
 from analysis.utils.tables import policy_text
 from planner.make_plan import make_plan
 from planner.plan.plan import Plan
@@ -211,7 +211,7 @@ def test_value_is_known_too() -> None:
     value = np.where(np.arange(14) >= 7, 7.5, 1.0) * np.ones((14, 1))
     valued = WORLD.with_values(value)
     plan = make_plan(valued, place_starts(valued, 2)[0], Settings())
-    trial, robot_value = Trial(valued, plan, AUTO), Worth.of(valued)
+    trial, robot_value = Trial(valued, plan, AUTO), CellValues.of(valued)
     known, rolled = trial.known(), trial.sample(0, 20_000)
     assert known is not None
     assert known.counted == rolled.counted == "value"

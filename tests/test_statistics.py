@@ -411,12 +411,12 @@ def above_median(robots: int) -> float:
 def test_sums_are_those_of_the_rollouts_however_they_are_shared_out() -> None:
     engine = engine_of(load_world_file(CONTIGUOUS), 4, seed=3)
     whole, results = run_with_threshold_sums(engine, 3, 0, 3000)
-    *_, last = run_chunks(engine, 3000, chunk=700, by_luck=3)
+    *_, last = run_chunks(engine, 3000, chunk=700, by_threshold=3)
     assert last.tally == whole
     assert [tally_mean(last.tally, figure) for figure in FIGURES[:4]] == [tally_mean(whole, f) for f in FIGURES[:4]]
-    sums = whole.by_luck.reshape(-1, len(COLUMNS)).sum(axis=0)
+    sums = whole.by_threshold.reshape(-1, len(COLUMNS)).sum(axis=0)
     assert sums.tolist() == [3000, *(int(getattr(results, f).sum()) for f in FIGURES[:4]), int(whole.outcomes[0])]
-    assert np.array_equal(whole.by_luck, sums_by_threshold(results, 3, 4))
+    assert np.array_equal(whole.by_threshold, sums_by_threshold(results, 3, 4))
 
 
 def test_means_and_errors_are_the_regression_s() -> None:
@@ -489,7 +489,7 @@ def test_samples_of_a_long_run_are_the_runs_by_themselves() -> None:
     engine = engine_of(load_world_file(CONTIGUOUS), 4, seed=3)
     for number, mine in enumerate(samples(engine, 3, 3, first=500)):
         whole, _ = run_with_threshold_sums(engine, 3, 500 + number * LEAST, LEAST)
-        assert mine.ids == whole.ids and np.array_equal(mine.by_luck, whole.by_luck)
+        assert mine.ids == whole.ids and np.array_equal(mine.by_threshold, whole.by_threshold)
         assert estimates(mine) == estimates(whole)
 
 
@@ -520,7 +520,7 @@ def test_the_deadline_s_and_other_threats_have_it_too() -> None:
         (scaled.tally, scaled.as_json()["coverage"]["visited"]["se"], 1.5),
         (deadline.tally, deadline.as_json()["visited"]["se"], 1.0),
     ):
-        plain = replace(tally, by_luck=np.zeros(0, dtype=np.int64))
+        plain = replace(tally, by_threshold=np.zeros(0, dtype=np.int64))
         assert mine < tally_mean(plain, "visited", 1.0 / tally.accessible).se / least
 
 
@@ -529,7 +529,7 @@ def test_differences_are_put_right_too() -> None:
     starts = place_starts(world, 8)[0]
     plans = [make_plan(world, starts, Settings(policy=policy)) for policy in ("mrac", "per_cell")]
     answer = compare(*(make_side(world, plan, RolloutChoices(rollouts=4096)) for plan in plans))
-    sums = [sides.reshape(-1, len(COLUMNS)) for sides in answer.by_luck]
+    sums = [sides.reshape(-1, len(COLUMNS)) for sides in answer.by_threshold]
     engines = [make_engine(plan, world, Rolling(), "numba").results(0, 4096) for plan in plans]
     y = (engines[1].visited - engines[0].visited) / answer.a.cells
     mean, error, variance = fitted(y, (classes_by_threshold(0, 0, 4096, 8) + 0.5) / CLASSES_A_NAT, 8)
@@ -652,7 +652,7 @@ def hold(found: list[Estimate], truth: float) -> None:
     """Each of these intervals has a width, and at least 94 % of them hold the truth."""
     ends = np.array([one.ci95 for one in found])
     assert (ends[:, 0] < ends[:, 1]).all()
-    assert not any("exact" in one.said() for one in found)
+    assert not any("exact" in one.describe() for one in found)
     assert ((ends[:, 0] <= truth) & (truth <= ends[:, 1])).mean() >= 0.94
 
 

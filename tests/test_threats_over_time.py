@@ -84,7 +84,7 @@ def test_rollouts_do_not_depend_on_how_they_are_run() -> None:
 
 def test_movers_that_hit_nobody_change_no_event() -> None:
     world = moving_world(5)
-    plain = replace(world, threat=world.met, doubt=None)
+    plain = replace(world, threat=world.met, uncertainty=None)
     assert world.movers is not None
     tame = with_movers(plain, [replace(one, hit=0.0) for one in world.movers.members])
     np.testing.assert_array_equal(tame.threat, plain.threat)
@@ -206,7 +206,7 @@ def test_a_mover_that_stays_is_a_threat_that_stands() -> None:
 def test_movers_stay_where_they_are_in_the_long_run() -> None:
     """Who starts anywhere is at every step in a cell with the chance of `joined`, within 5 standard errors."""
     world = moving_world(9, most=5)
-    walker = with_movers(replace(world, threat=world.met, doubt=None), [MovingThreat(0.3, 0.2)], "joined")
+    walker = with_movers(replace(world, threat=world.met, uncertainty=None), [MovingThreat(0.3, 0.2)], "joined")
     assert walker.movers is not None
     chance, n = walker.movers.chances(walker.movers.members[0]).ravel(), 1500
     starts = np.bincount(first_places(walker.movers, 4, range(n))[:, 0], minlength=chance.size)
@@ -275,7 +275,7 @@ def test_robots_plan_on_those_that_have_a_route_unless_something_else_is_said(tm
     assert as_before(sure) is sure
     (note,) = scenario(tmp_path, "moving_threats: [{patrol: [[0, 0], [0, 1]], h: 0.5}]\n").notes
     assert world.movers is not None
-    plain = replace(world, threat=world.met, doubt=None, notes=())
+    plain = replace(world, threat=world.met, uncertainty=None, notes=())
     assert with_movers(plain, world.movers.members).sha256 == world.sha256
     walkers = scenario(tmp_path, "moving_threats: [{walk: 0.5, h: 0.25}]\n")
     np.testing.assert_array_equal(walkers.threat, walkers.met)
@@ -523,7 +523,7 @@ def test_who_wears_bears_what_each_phase_brings() -> None:
 def test_phases_that_change_nothing_change_no_run() -> None:
     for seed in range(4):
         world = random_world(9, 9, ThreatPattern(seed=seed))
-        assert with_phases(world, [(0, world)]).doubt is None
+        assert with_phases(world, [(0, world)]).uncertainty is None
         starts, _ = place_starts(world, 3)
         settings = Settings(policy=("mrac", "per_cell")[seed % 2])
         other = np.where(world.free, 0.3, np.nan)
@@ -575,7 +575,7 @@ def test_a_scenario_and_its_world_file_phases(tmp_path: Path) -> None:
     whole = scenario_phases(
         tmp_path, SCENARIO_PHASES.replace("threats: [{raster: a.npy}]\n", "").replace("from: 4", "from: 0")
     )
-    assert whole.doubt is None and whole.threat[1, 2] == np.float32(0.3)
+    assert whole.uncertainty is None and whole.threat[1, 2] == np.float32(0.3)
     arrays = dict(np.load(tmp_path / "w.npz"))
     for name, value in (("phases_from", np.array([1, 4])), ("phases_threat", arrays["phases_threat"][:1])):
         np.savez(tmp_path / "bad.npz", **(arrays | {name: value}))
@@ -612,7 +612,7 @@ def test_a_wrong_phase_is_one_line(tmp_path: Path, old: str, new: str, said: str
 
 def test_maps_and_loops_that_do_not_fit_are_refused() -> None:
     world, _ = tiny(1, "now")
-    plain = replace(world, threat=world.met, doubt=None)
+    plain = replace(world, threat=world.met, uncertainty=None)
     with pytest.raises(InputError, match=r"phases\[0\] has none at \[1, 0\]; expected the obstacles of the map"):
         with_phases(plain, [(3, np.zeros((3, 3)))])
     with pytest.raises(InputError, match=r"phases\[0\] is dict; expected pairs \(step, threats\)"):

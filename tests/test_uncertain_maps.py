@@ -118,7 +118,9 @@ def test_hazards_and_maps_are_drawn_as_specified() -> None:
 @pytest.mark.parametrize(("kind", "amount"), [("lognormal", 0.3), ("beta", 6.0)])
 def test_a_spread_has_the_mean_and_the_quantiles_that_it_says(kind: str, amount: float) -> None:
     world = with_spread(TINY, kind, amount)
-    chances = np.stack([world.doubt.threat_at(row) for row in range(world.doubt.count)])[:, 0, 1].astype(float)
+    chances = np.stack([world.uncertainty.threat_at(row) for row in range(world.uncertainty.count)])[:, 0, 1].astype(
+        float
+    )
     p = float(TINY.threat[0, 1])
     np.testing.assert_allclose(np.minimum(chances, 1).mean(), p, rtol=2e-3)
     law = stats.lognorm(amount, scale=p * np.exp(-(amount**2) / 2)) if kind == "lognormal" else None
@@ -315,7 +317,7 @@ def test_exact_values_are_those_of_everything_that_can_happen(kind: str, paths: 
     draw = (
         one_of([one.ravel() for one in maps])
         if kind == "maps"
-        else persistent(world.doubt.q.ravel(), world.doubt.h.ravel(), kind == "consumed")
+        else persistent(world.uncertainty.q.ravel(), world.uncertainty.h.ravel(), kind == "consumed")
     )
     plan = external_plan(world, paths)
     visited, survived, alive = expected(open_loop(plan, world), draw)
@@ -337,7 +339,7 @@ def test_exact_values_are_those_of_everything_that_can_happen(kind: str, paths: 
 
 def test_one_robot_is_exact_by_level_and_teams_are_known_robot_by_robot() -> None:
     world = with_spread(TINY_OPEN_LOOP, "lognormal", 0.5, "level")
-    chances, column = world.doubt.chances.astype(float), world.doubt.column.ravel()
+    chances, column = world.uncertainty.chances.astype(float), world.uncertainty.column.ravel()
     low, high = ((1 - chances[:, column[cell]]) ** 2 for cell in (1, 3))  # PATHS[0] enters cell 1 once, cell 3 twice
     survival = np.sqrt(low).mean() * high.mean()
     exact = open_loop_exact(external_plan(world, PATHS[:1]), world)

@@ -31,7 +31,7 @@ from analysis.evaluation.outputs.value import Units, found_chances, value_table
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import Estimate, tail_mean, times_to
 from analysis.statistics.variance_reduction import LEAST, CommonThresholds
-from analysis.theory.exact import Worth, open_loop_found
+from analysis.theory.exact import CellValues, open_loop_found
 from planner.errors import RenamedWarning, WorldError
 from planner.formatting import percent
 from planner.make_plan import make_plan
@@ -98,7 +98,7 @@ def test_survived_visits_are_those_of_the_simulator_as_python(policy: str, robot
     fixture = load_fixture("contiguous-14x23-1000-k8")
     world = fixture.world.with_values(np.arange(14 * 23).reshape(14, 23) % 5, 0.4)
     plan = make_plan(world, fixture.starts[:robots], Settings(policy=policy))
-    units = Units.of(Worth.of(world))
+    units = Units.of(CellValues.of(world))
     engine = make_engine(plan, world, Rolling(seed=3), "numba")
     tally, singles = engine.weighing(units.covered, units.found).run(0, 12)
     passes = np.array([survived_visits(world, plan, 3, rollout) for rollout in range(12)])
@@ -123,7 +123,7 @@ def test_engines_count_survived_visits_alike(policy: str) -> None:
         world = World.create(fixture.world.threat * np.float32(scale))
         world = world.with_values(np.arange(14 * 23).reshape(14, 23) % 5, 0.4)
         plan = make_plan(world, fixture.starts[:3], Settings(policy=policy))
-        units = Units.of(Worth.of(world))
+        units = Units.of(CellValues.of(world))
         runs = [
             make_engine(plan, world, Rolling(seed=4), name).weighing(units.covered, units.found).run(100, 700)
             for name in ("numba", "jax")
@@ -175,7 +175,7 @@ def test_the_remainder_holds_what_the_cap_leaves_out() -> None:
     zeros = {name: np.zeros(cells, np.int64) for name in Tally.axes()}
     counts = zeros | {"visits": passes.sum(axis=0) + 7, "stops": np.full(cells, 7), "passes": at_least.ravel()}
     tally = Tally("t", (1, cells), ((0, 500),), **counts)
-    robot_value = Worth(np.ones(cells), detect)
+    robot_value = CellValues(np.ones(cells), detect)
     found, rest = found_chances(tally, robot_value)
     truth = (1 - (1 - detect) ** passes).mean(axis=0)
     assert (truth <= found + 1e-12).all() and (found.sum() - rest) <= truth.sum()
@@ -263,7 +263,7 @@ def test_what_many_passes_find_is_aimed_at_not_bounded_from_below() -> None:
     tally = SimpleNamespace(
         passes=passes[:MOST_PASSES], visits=np.array([passes.sum() + stops]), stops=np.array([stops]), rollouts=runs
     )
-    found, rest = found_chances(tally, Worth(np.ones(1), np.array([d])))  # type: ignore[arg-type]
+    found, rest = found_chances(tally, CellValues(np.ones(1), np.array([d])))  # type: ignore[arg-type]
     truth = d * (reached @ (1 - d) ** np.arange(12))
     assert rest > 0.02 and found[0] - rest < truth - 0.02
     assert truth <= found[0] < truth + 0.02 * rest
@@ -273,7 +273,7 @@ def test_counts_leave_nothing_over_and_totals_are_in_their_intervals() -> None:
     """Where no cell is passed more than eight times the remainder is 0, not -8e-18."""
     often = -np.sort(-np.random.default_rng(0).integers(0, 300, size=(200, MOST_PASSES)), axis=1)
     tally = SimpleNamespace(passes=often.ravel(), visits=often.sum(axis=1) + 7, stops=np.full(200, 7), rollouts=300)
-    assert found_chances(tally, Worth(np.ones(200), np.full(200, 0.3)))[1] == 0  # type: ignore[arg-type]
+    assert found_chances(tally, CellValues(np.ones(200), np.full(200, 0.3)))[1] == 0  # type: ignore[arg-type]
     total = 0.7
     short, over = (mean_value(np.full(100, 2**40 + units), total, 50, certain=False) for units in (-20, 20))
     assert short.ci95[1] == total and over.mean <= total  # each cell's units are rounded
@@ -291,7 +291,7 @@ def valued(kind: Kind, seed: int, robots: int, policy: str = "mrac", side: int =
 def means(world: World, plan: Plan, seed: int, samples: int = 1) -> list[list[Estimate]]:
     """Value covered and found (up to MOST_PASSES visits), as `evaluate` states them: of so many times 1,024 rollouts,
     one after the other, and of them all."""
-    units, robots = Units.of(Worth.of(world)), len(plan.robots)
+    units, robots = Units.of(CellValues.of(world)), len(plan.robots)
     engine = make_engine(plan, world, Rolling(seed=seed), "numba").weighing(units.covered, units.found)
     results, classes = engine.results(0, samples * LEAST), classes_by_threshold(seed, 0, samples * LEAST, robots)
     told = []
@@ -310,11 +310,11 @@ def means(world: World, plan: Plan, seed: int, samples: int = 1) -> list[list[Es
 def test_value_is_put_right_by_luck() -> None:
     """Least squares over single rollouts gives the same means and errors, with less spread than without."""
     world, plan = valued("contiguous", 0, 8)
-    units = Units.of(Worth.of(world))
+    units = Units.of(CellValues.of(world))
     results = make_engine(plan, world, Rolling(seed=3), "numba").weighing(units.covered, units.found).results(0, LEAST)
     total = (classes_by_threshold(3, 0, LEAST, 8) + 0.5) / CLASSES_A_NAT
     for found, column in zip(means(world, plan, 3)[0], (results.worth_covered, results.worth_found), strict=True):
-        value = column / 2**40 * Worth.of(world).total
+        value = column / 2**40 * CellValues.of(world).total
         mean, error, _ = fitted(value, total, 8)
         assert (found.mean, found.se) == (pytest.approx(mean, rel=1e-7), pytest.approx(error, rel=1e-5))
         assert found.se < 0.8 * value.std() / np.sqrt(LEAST)
@@ -351,7 +351,7 @@ def test_what_a_tree_knows_is_what_the_value_table_says(detect: float) -> None:
     assert found.robots_left[0].mean == pytest.approx(known["some_left"]) and found.robots_left[0].half_width == 0
     assert found.losses.mean == pytest.approx(known["losses"]) and found.covered.half_width == 0
     assert (found.found.half_width == 0) == (detect == 1)
-    sampled = Units.of(Worth.of(world)).covered @ answer.tally.covered_visited / 400 * found.worth.total / 2**40
+    sampled = Units.of(CellValues.of(world)).covered @ answer.tally.covered_visited / 400 * found.worth.total / 2**40
     assert abs(found.covered.mean - sampled) < 5 * found.worth.total / 2 / np.sqrt(400)
     rows = dict(zip(*(list(column.cells) for column in value_table(found).columns[:2]), strict=True))
     assert rows["chance that at least 1 robot is left"] == percent(known["some_left"], 2)

@@ -746,7 +746,7 @@ def test_what_robots_are_not_told(folder: Path) -> None:
     world = read(prior_map={"p": 0.04}, true_map="true.csv", sensor_range=math.inf)
     assert (world.threat == np.float32(0.04)).all() and np.array_equal(world.met, true, equal_nan=True)
     spread = {"spread": {"kind": "beta", "sample_size": 9}}
-    assert read(map_uncertainty=spread, sensor_range=1, prior_map={"p": 0.04}).doubt is not None
+    assert read(map_uncertainty=spread, sensor_range=1, prior_map={"p": 0.04}).uncertainty is not None
     for wrong, message in (
         ({"true_map": "true.csv"}, r"`true_map`: robots that see nothing are wrong about an obstacle at \[0, 1\]"),
         ({"prior_map": {"p": 1}}, r"`prior_map\.p` is 1; expected a probability"),

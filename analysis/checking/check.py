@@ -67,7 +67,7 @@ class MapCheck(Answer):
     Attributes:
         world, plan: the input. exact: the open loop. closed: the closed loop, or None if it was not computed.
         checks: for every robot, formula, meaning and loop. left_out: omitted formulas, with reasons.
-        doubt: error probability of the interval of one sampled figure. seed: of the rollouts.
+        alpha: error probability of the interval of one sampled figure. seed: of the rollouts.
         partial: whether the rollouts were interrupted.
         theory: rows of the table: "main", one for each formula; "all", every reading and meaning.
     """
@@ -81,7 +81,7 @@ class MapCheck(Answer):
     closed: ClosedTruth | None
     checks: tuple[Check, ...]
     left_out: tuple[str, ...]
-    doubt: float
+    alpha: float
     seed: int = 0
     partial: bool = False
     theory: Literal["main", "all"] = "main"
@@ -139,12 +139,12 @@ def check_map(
     if alone is None and not plan.is_external:
         alone = make_plan(world, plan.starts[:1], plan.settings and plan.settings.alone)
     checks += nominal_checks(plan, world, alone)
-    doubt, closed = error_of_each(figures), None
+    alpha, closed = error_of_each(figures), None
     if not plan.is_external:
         closed = closed_truth(plan, world, exact, choices, kept)
         if closed is None:
             tally = sample()
-            closed = None if tally is None else sampled_truth(plan, world, tally, doubt)
+            closed = None if tally is None else sampled_truth(plan, world, tally, alpha)
     if closed is not None:
         checks += closed_checks(plan, world, bounds, own, closed, choices.first_only)
     no_bound = (
@@ -152,7 +152,7 @@ def check_map(
         "which may take a minute on a large map"
     )
     left_out = (*_left_out(plan, checks, closed), *(() if limit.flow is not None else (no_bound,)))
-    return MapCheck(world, plan, exact, closed, tuple(checks), left_out, doubt)
+    return MapCheck(world, plan, exact, closed, tuple(checks), left_out, alpha)
 
 
 def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None) -> tuple[str, ...]:
@@ -241,7 +241,7 @@ def check_json(checked: MapCheck) -> Json:
         "plan_for": plan.plan_for,
         "rollouts": 0 if closed is None else closed.rollouts,
         "seed": checked.seed,
-        "doubt": checked.doubt,
+        "alpha": checked.alpha,
         "truth": {
             "open_loop": {"visited": exact.visited, "survived": exact.survived},
             "closed_loop": None
@@ -379,7 +379,7 @@ class Survey(Answer):
         return len({entry.seed for entry in self.entries})
 
     @property
-    def said(self) -> str:
+    def description(self) -> str:
         """ "200 contiguous worlds of 20 x 20 cells"."""
         worlds = counted(self.worlds, f"{self.choices.kind} world")
         return f"{worlds} of {self.choices.height} x {self.choices.width} cells"

@@ -133,7 +133,7 @@ def scatter_figure(survey: Survey) -> Figure:
     handles.append(Line2D([], [], color=INK, linewidth=0.8, label="value = truth"))
     figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.05, 0.0), ncols=6)
     figure.text(0.069, 1 - 0.28 / height, "Formula against truth", fontsize=13, fontweight="bold", va="center")
-    below = f"{survey.said}; a point a world and team; red ground: the formula fails"
+    below = f"{survey.description}; a point a world and team; red ground: the formula fails"
     figure.text(0.069, 1 - 0.5 / height, below, fontsize=9, color=FAINT, va="center")
     return figure
 

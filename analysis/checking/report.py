@@ -92,9 +92,13 @@ def _check_heading(checked: MapCheck) -> list[str]:
     closed = checked.closed
     if closed is not None:
         how = "exact" if not closed.rollouts else f"{counted(closed.rollouts, 'rollout')}, seed {checked.seed}"
-        rolled = (f"{shown(closed.visited, 'cells')} cells visited", f"{shown(closed.survived, 'cells')} survived")
+        rolled = (
+            f"{format_truth(closed.visited, 'cells')} cells visited",
+            f"{format_truth(closed.survived, 'cells')} survived",
+        )
         lines.append(
-            f"closed loop, {how}: {', '.join(rolled)}, a robot survives with chance {shown(closed.some_left, 'chance')}"
+            f"closed loop, {how}: {', '.join(rolled)}, a robot survives with chance "
+            f"{format_truth(closed.some_left, 'chance')}"
         )
     return lines
 
@@ -107,7 +111,7 @@ def figure(value: float, unit: str) -> str:
     return f"> {1 - 10.0 ** -DIGITS[unit]:.{DIGITS[unit]}f}" if unit == "chance" and value < 1 == float(said) else said
 
 
-def shown(truth: Truth, unit: str) -> str:
+def format_truth(truth: Truth, unit: str) -> str:
     """A truth, with its interval if the unit's digits show one."""
     value, low, high = (figure(one, unit) for one in (truth.value, truth.low, truth.high))
     return value if low == high else f"{value} ({low} to {high})"
@@ -209,7 +213,9 @@ def _check_findings(checked: MapCheck) -> list[str]:
         if check.verdict is Verdict.FAILS:
             unit = "" if check.about.unit == "chance" else f" {check.about.unit}"
             said = f"{SAYS[check.about.direction]} {check.value:.4g}{unit}"
-            out.append(f"{check.named} fails: it says {said}, the truth is {shown(check.truth, check.about.unit)}.")
+            out.append(
+                f"{check.named} fails: it says {said}, the truth is {format_truth(check.truth, check.about.unit)}."
+            )
     return [*out, *(f"{note[0].upper()}{note[1:]}." for note in checked.left_out)]
 
 
@@ -231,8 +237,8 @@ def _settings(checked: MapCheck) -> dict[str, object]:
     plan, closed = checked.plan, checked.closed
     out: dict[str, object] = {"seed": f"{checked.seed}"}
     if closed is not None and closed.rollouts:
-        out["error probability of one interval"] = f"{checked.doubt:.3g}"
-    return out | ({} if plan.settings is None else plan.settings.shown(checked.world.pace))
+        out["error probability of one interval"] = f"{checked.alpha:.3g}"
+    return out | ({} if plan.settings is None else plan.settings.described(checked.world.pace))
 
 
 # The report of `mrac-jax check --worlds N`: formulas that fail on random worlds, and how often, by size of team.
@@ -246,7 +252,7 @@ def survey_report(survey: Survey) -> Report:
     """The report of a survey: rates of failure; coverage and its bounds by size of team; all comparisons as CSV."""
     said = survey_headline(survey)
     return Report(
-        "survey", "check --worlds", f"{survey.said}: which formulas hold?", said,
+        "survey", "check --worlds", f"{survey.description}: which formulas hold?", said,
         lambda: _json(survey, said),
         findings=_survey_findings(survey), figures=_survey_key_figures(survey), heading=_survey_heading(survey),
         parts=(
@@ -255,7 +261,7 @@ def survey_report(survey: Survey) -> Report:
             unfolded=True),
         ),
         warnings=(f"Interrupted after {counted(survey.worlds, 'world')}.",) if survey.partial else (),
-        settings=survey.choices.settings.shown(), took=[f"{survey.seconds:.0f} s"],
+        settings=survey.choices.settings.described(), took=[f"{survey.seconds:.0f} s"],
         again="World number i has the seed of the first plus i. The number of processes does not change the result.",
         pictures={"bound_against_truth.png": partial(_scatter, survey), "over_robots.png": partial(_charts, survey)},
         files={"survey.csv": lambda: _csv(survey), **_worst(survey)},
@@ -287,7 +293,7 @@ def survey_headline(survey: Survey) -> str:
 def _survey_heading(survey: Survey) -> list[str]:
     choices, first = survey.choices, survey.rollouts.seed
     return [
-        f"{survey.said}, "
+        f"{survey.description}, "
         f"{', '.join(map(str, choices.teams))} robots, seeds {first} to {first + choices.worlds - 1}; closed loop: "
         f"{counted(survey.rollouts.rollouts, 'rollout')} a world and team"
     ]
@@ -388,7 +394,7 @@ def _json(survey: Survey, said: str) -> Json:
         "robots": list(choices.teams),
         "seed": survey.rollouts.seed,
         "rollouts": survey.rollouts.rollouts,
-        "doubt": ALPHA / choices.figures,
+        "alpha": ALPHA / choices.figures,
         "rows": [_row_json(row) for row in survey.rows],
         "worst": {key: {"seed": row.seed, "robots": row.robots} for key, row in survey.worst_failures().items()},
         "faults": [{"seed": seed, "robots": robots, **check_row(check)} for seed, robots, check in survey.faults],

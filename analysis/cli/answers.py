@@ -232,7 +232,7 @@ def front(source: INPUT, /, given: Given) -> int:
     task = _task(given, source)
     choices = given.rolled(usual_rollouts(task.world, task.starts))
     search = partial(find_front, task.world, task.starts, task.settings, choices, goal=goal, ladders=ladders)
-    answer = _found(partial(search, words=given.words(source)))
+    answer = _found(partial(search, words=given.arguments(source)))
     if plan_out is not None and answer.picked is not None:
         answer.plan_of(answer.picked).save(plan_out, force=True)
         answer = replace(answer, plan_file=str(plan_out))
@@ -355,7 +355,7 @@ def starts(source: INPUT, /, given: Given) -> int:
     say((*world.notes, *(f"{named}: {note}" for note in notes)))
     given.values["robots"], robots = None, given.robots
     search = partial(find_starts, world, team_size(world, robots), settings, choices, depot=given.depot)
-    answer = _found(partial(search, candidates=candidates, source=named or "", words=given.words(source)))
+    answer = _found(partial(search, candidates=candidates, source=named or "", words=given.arguments(source)))
     if scenario_out is not None:
         write_scenario(scenario_out, input_path(source), answer.starts, settings, world.pace, given.cell_size)
         say([f"wrote {scenario_out}"])

@@ -241,7 +241,7 @@ class Given:
             amount["seconds"] = None
         return self.rolled(100_000, loop=self.loop or ("open" if external else "closed"), **amount)
 
-    def words(self, source: str) -> list[str]:
+    def arguments(self, source: str) -> list[str]:
         """The words after `evaluate` for the same input, team and settings."""
         team = {name: value for name, value in self.values.items() if name in OPTIONS and OPTIONS[name].group == TEAM}
         given = team | self.choices.given()

@@ -60,7 +60,7 @@ def check_search(world: World, settings: Settings, choices: RolloutChoices, name
 
 def screened(settings: Settings) -> tuple[str, ...]:
     """A note if the bounds used for screening are invalid because some failures do not follow p of each visit."""
-    said = settings.failure_model().said
+    said = settings.failure_model().description
     return (f"screened without {said}: the bounds only order the candidates",) if said else ()
 
 
@@ -414,14 +414,14 @@ def sample_with_known_maps(
     Returns:
         The sample, and bool `[count]`: the rollouts in it, whose map is one of the first MOST_MAPS.
     """
-    doubt, settings = world.doubt, plan.require(world)
-    assert isinstance(doubt, Uncertain)
-    rows = rows_met(doubt, choices.seed, np.arange(count))[:, 0]
+    uncertainty, settings = world.uncertainty, plan.require(world)
+    assert isinstance(uncertainty, Uncertain)
+    rows = rows_met(uncertainty, choices.seed, np.arange(count))[:, 0]
     met, first, which = np.unique(rows, return_index=True, return_inverse=True)
     kept = np.sort(np.argsort(first)[:MOST_MAPS])
     results = []
     for row in met[kept].tolist():
-        one = replace(world, threat=doubt.threat_at(row), doubt=None, knowledge=None)
+        one = replace(world, threat=uncertainty.threat_at(row), uncertainty=None, knowledge=None)
         trial = Trial(one, allocated_plan(one, plan.starts, settings), choices)
         sample = trial.sample(0, count)
         results.append(sample.results)
@@ -439,12 +439,12 @@ def sample_with_known_hazards(world: World, plan: Plan, choices: RolloutChoices,
 
     A visit of a hazard destroys the robot with probability h; h = 1 is planned as the largest value below 1.
     """
-    doubt, settings, results = world.doubt, plan.require(world), []
-    assert isinstance(doubt, Hazard)
-    for rollout, there in enumerate(hazards_met(doubt, choices.seed, np.arange(count))):
-        q = np.where(there.reshape(world.shape), np.where(doubt.h < 1, 1.0, LARGEST), 0.0)
-        known = replace(doubt, q=np.where(world.free, q, np.nan).astype(np.float32), detector=None)
-        one = replace(world, threat=known.threat, doubt=known)
+    uncertainty, settings, results = world.uncertainty, plan.require(world), []
+    assert isinstance(uncertainty, Hazard)
+    for rollout, there in enumerate(hazards_met(uncertainty, choices.seed, np.arange(count))):
+        q = np.where(there.reshape(world.shape), np.where(uncertainty.h < 1, 1.0, LARGEST), 0.0)
+        known = replace(uncertainty, q=np.where(world.free, q, np.nan).astype(np.float32), detector=None)
+        one = replace(world, threat=known.threat, uncertainty=known)
         sample = Trial(one, allocated_plan(one, plan.starts, settings), choices).sample(rollout, 1)
         assert sample.results is not None
         results.append(sample.results)
@@ -461,6 +461,6 @@ def only(sample: Sampled, kept: NDArray[np.bool_]) -> Sampled:
     counts: dict[str, Any] = {name: np.bincount(getattr(results, name), minlength=size) for name, size in sizes.items()}
     counts["outcomes"] = np.bincount(results.outcome, minlength=len(Outcome))
     if seed is not None:
-        counts["by_luck"] = sums_by_threshold(results, seed, tally.robots)
+        counts["by_threshold"] = sums_by_threshold(results, seed, tally.robots)
     ids = ((0, int(kept.sum())),)
     return replace(sample, tally=replace(tally, ids=ids, **counts), results=results, seed=seed)

@@ -25,7 +25,7 @@ from analysis.statistics.estimates import (
     proportion,
 )
 from analysis.statistics.variance_reduction import LEAST, CommonThresholds, Paired, difference, estimate_of, tally_mean
-from analysis.theory.exact import OpenLoopExact, Worth, open_loop_exact
+from analysis.theory.exact import CellValues, OpenLoopExact, open_loop_exact
 from analysis.theory.verdicts import MEANINGS, ClosedTruth, Truth, as_stated, exact_truth
 from analysis.utils.progress import announce_compilation
 from planner.errors import PlanError
@@ -74,10 +74,10 @@ class TreeTruth(ClosedTruth):
     def further(self) -> dict[str, Any]:
         tree, robots, (least, most) = self.tree, len(self.tree.counts.alive) - 1, self.tree.alive()
         return {
-            "losses": _said(robots - most, robots - least),
-            "complete": _said(*tree.chance_complete()),
+            "losses": _as_json(robots - most, robots - least),
+            "complete": _as_json(*tree.chance_complete()),
             "quantiles": {
-                figure: {f"{q:g}": _said(*tree.quantile(figure, q)) for q in QUANTILES} for figure in MEANINGS
+                figure: {f"{q:g}": _as_json(*tree.quantile(figure, q)) for q in QUANTILES} for figure in MEANINGS
             },
             "histories": tree.histories,
             "cut": tree.share_cut,
@@ -112,7 +112,9 @@ def _loop_of(plan: Plan, world: World, first_only: bool, kept: AllPairs | None) 
     """The loop of which a tree is grown; None: it has no tree, or one that is too large."""
     from planner.rollouts.closed_loop import compile_closed_loop
 
-    if (world.doubt is not None and world.phases is None) or int(world.accessible(plan.starts).sum()) > MOST_CELLS:
+    if (world.uncertainty is not None and world.phases is None) or int(
+        world.accessible(plan.starts).sum()
+    ) > MOST_CELLS:
         return None
     try:
         return compile_closed_loop(plan, world, first_only=first_only, kept=kept)
@@ -152,7 +154,7 @@ def _between(low: float, high: float) -> Truth:
     return Truth((low + high) / 2, low, high, "tree")
 
 
-def _said(low: float, high: float) -> float | list[float]:
+def _as_json(low: float, high: float) -> float | list[float]:
     """A value, or its certain lower and upper bounds."""
     return low if low == high else [low, high]
 
@@ -163,7 +165,7 @@ UNITS = 2**40
 """The value of all cells in integer units: rounding is 1e-12 of it a cell."""
 
 
-def units_of(worth: Worth) -> NDArray[np.float64]:
+def units_of(worth: CellValues) -> NDArray[np.float64]:
     """Units of each cell before rounding, float64 `[N]`."""
     share: NDArray[np.float64] = worth.value / worth.total * UNITS
     return share
@@ -178,7 +180,7 @@ def weigh(engine: Engine, world: World) -> Engine:
     """The same engine; a closed loop with values also sums the units of visited cells: `worth_covered`."""
     if world.value is None:
         return engine
-    covered = np.rint(units_of(Worth.of(world))).astype(np.int64)
+    covered = np.rint(units_of(CellValues.of(world))).astype(np.int64)
     return engine.weighing(covered, np.zeros((len(covered), MOST_PASSES + 1), dtype=np.int64))
 
 
@@ -249,15 +251,15 @@ class Known:
         """A mean, times `unit`."""
         return stated(self.between(figure), unit, self.largest(figure))
 
-    def bounds(self, figure: str, doubt: float) -> Between:
-        """Bounds of the mean, for any error probability `doubt`."""
+    def bounds(self, figure: str, alpha: float) -> Between:
+        """Bounds of the mean, for any error probability `alpha`."""
         return self.between(figure)
 
     def chance(self, figure: str, needed: int) -> Estimate:
         """The probability that at least `needed` cells are "visited" or "survived"."""
         return stated(self.chance_bounds(figure, needed, 0.0), 1.0, 1.0)
 
-    def chance_bounds(self, figure: str, needed: int, doubt: float) -> Between:
+    def chance_bounds(self, figure: str, needed: int, alpha: float) -> Between:
         """Bounds of that probability."""
         return self.tree.chance_of(figure, needed)
 
@@ -339,21 +341,21 @@ class Sampled:
         column, cells = self.column(figure), len(self.tally.covered_visited)
         return mean_value(column, unit, cells, self.certain, self._controls(column))
 
-    def bounds(self, figure: str, doubt: float) -> Between:
-        """Bounds of the mean with error probability `doubt`, for any distribution (`mean_interval`)."""
+    def bounds(self, figure: str, alpha: float) -> Between:
+        """Bounds of the mean with error probability `alpha`, for any distribution (`mean_interval`)."""
         if self.certain:
             return self.mean(figure).ci95
-        return mean_interval(self.tally.alive[::-1] if figure == "lost" else getattr(self.tally, figure), doubt)
+        return mean_interval(self.tally.alive[::-1] if figure == "lost" else getattr(self.tally, figure), alpha)
 
     def chance(self, figure: str, needed: int) -> Estimate:
         """As in `Known`."""
         return proportion(self._often(figure, needed), self.rollouts, self.certain)
 
-    def chance_bounds(self, figure: str, needed: int, doubt: float) -> Between:
-        """Bounds of that probability with error probability `doubt`."""
+    def chance_bounds(self, figure: str, needed: int, alpha: float) -> Between:
+        """Bounds of that probability with error probability `alpha`."""
         if self.certain:
             return self.chance(figure, needed).ci95
-        return chance_interval(self._often(figure, needed), self.rollouts, doubt)
+        return chance_interval(self._often(figure, needed), self.rollouts, alpha)
 
     def _often(self, figure: str, needed: int) -> int:
         return int(getattr(self.tally, figure)[needed:].sum())
@@ -469,7 +471,7 @@ class Trial:
             return None
         if self.world.value is None:
             return Known(tree)
-        worth = Worth.of(self.world)
+        worth = CellValues.of(self.world)
         low, high = (float(chance @ worth.value[loop.cells]) / worth.total for chance in tree.cells("visited"))
         return Known(tree, (low, high))
 
@@ -488,7 +490,7 @@ class Trial:
         parts: list[RolloutResults] = []
         valued = self._valued
         for chunk in run_chunks(
-            self.engine, count, start=start, checkpoints=marks, results=valued, by_luck=self._threshold_seed
+            self.engine, count, start=start, checkpoints=marks, results=valued, by_threshold=self._threshold_seed
         ):
             parts += [chunk.results] if valued and chunk.results is not None else []
             yield self._sampled(chunk.tally, RolloutResults.join(parts) if parts else None, chunk.seconds)

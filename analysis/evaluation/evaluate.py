@@ -221,7 +221,7 @@ class Evaluation(Answer):
     @property
     def settled(self) -> bool:
         """Whether the paper's assumptions hold: one known map, and each visit destroys the robot with probability p."""
-        return self.world.doubt is None and self.world.knowledge is None and self.plan.failure_model.is_plain
+        return self.world.uncertainty is None and self.world.knowledge is None and self.plan.failure_model.is_plain
 
     @cached_property
     def checks(self) -> list[Check]:
@@ -358,7 +358,7 @@ OUTPUTS: dict[str, type[Output]] = {
     "knowledge": Knowledge,
     "experience": Experience,
     "team": EqualRobots,
-    "map_doubt": MapVariance,
+    "map_variance": MapVariance,
     "advice": Advice,
 }
 """The keys are those of `Evaluation.outputs` and of the JSON object."""
@@ -491,7 +491,7 @@ def _wanted(choices: RolloutChoices, asked: dict[str, Any], world: World) -> dic
         "deadline": choices.deadline,
         "knowledge": None if world.knowledge is None else (world.knowledge.sense.range,),
         "experience": world.learned_hazard is not None,
-        "map_doubt": isinstance(world.doubt, Uncertain),
+        "map_variance": isinstance(world.uncertainty, Uncertain),
         "turn": world.pace.turn or None,
         "value": world.value is not None or world.detect is not None or world.team.route is not None,
     } | asked

@@ -172,7 +172,7 @@ def headline(evaluation: Evaluation) -> str:
     robots, least = len(evaluation.plan.robots), evaluation.shown.assured
     if evaluation.certain:
         return certain_headline(evaluation)
-    shown = without_level(evaluation.visited.said(100.0, " %")) + " of the accessible cells on average"
+    shown = without_level(evaluation.visited.describe(100.0, " %")) + " of the accessible cells on average"
     subject, lost = counted(robots, "robot visits", "robots visit"), _lost_clause(evaluation)
     if is_best(evaluation.plan) and (settings := evaluation.plan.settings) is not None:
         most = _most(evaluation)
@@ -256,7 +256,7 @@ def gain_text(evaluation: Evaluation) -> str:
     kept = evaluation.closed_form.visited / evaluation.tally.accessible
     covered = evaluation.visited
     more = Estimate(covered.mean - kept, covered.se, (covered.ci95[0] - kept, covered.ci95[1] - kept))
-    gain = without_level((more if more.mean >= 0 else more.negated).said(100, " points"))
+    gain = without_level((more if more.mean >= 0 else more.negated).describe(100, " points"))
     return (
         f"Reassigning the areas of lost robots {'gains' if more.mean >= 0 else 'loses'} {gain} over robots that only "
         f"follow their own plans ({percent(kept)}, exact)."
@@ -516,8 +516,8 @@ def _looked_at(evaluation: Evaluation) -> dict[str, str]:
     return {
         "map": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "
         f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
-        **({} if world.doubt is None else {_uncertainty_name(world): world.doubt.said}),
-        **({} if world.knowledge is None else {"robots' map": world.knowledge.said}),
+        **({} if world.uncertainty is None else {_uncertainty_name(world): world.uncertainty.description}),
+        **({} if world.knowledge is None else {"robots' map": world.knowledge.description}),
         **({"meaning of p": evaluation.p_means} if evaluation.p_means else {}),
         "plan": f"{plan.origin if plan.is_external else plan_text(plan)}, {span_text(plan, world.pace)}"
         + ("" if world.knowledge is None else ", by the prior map"),
@@ -527,7 +527,7 @@ def _looked_at(evaluation: Evaluation) -> dict[str, str]:
 
 
 def _uncertainty_name(world: World) -> str:
-    """The name of `World.doubt` in the report."""
+    """The name of `World.uncertainty` in the report."""
     return "moving threats" if world.movers else "phases" if world.phases else "map uncertainty"
 
 
@@ -548,7 +548,7 @@ def _settings(evaluation: Evaluation) -> dict[str, object]:
     """Further settings that affect the figures, and notes of the map's reader and of the planner."""
     world, plan = evaluation.world, evaluation.plan
     out: dict[str, object] = {"map's name": world.name, "map's SHA-256": f"{world.sha256[:16]}..."}
-    out |= {} if plan.settings is None else plan.settings.shown(world.pace)
+    out |= {} if plan.settings is None else plan.settings.described(world.pace)
     for found in evaluation.blocks:
         out |= found.settings
     noted = {"how the map was read": world.notes, "how the plan was made": plan.notes}

@@ -386,7 +386,9 @@ def threats(evaluation: Evaluation) -> list[CellLayer]:
     if phases is None:
         return [own]
     begins = phases.begins[:MOST_PHASES].tolist()
-    layers = [threat_layer(replace(world, threat=p, doubt=None), evaluation.plan) for p in phases.threats[:MOST_PHASES]]
+    layers = [
+        threat_layer(replace(world, threat=p, uncertainty=None), evaluation.plan) for p in phases.threats[:MOST_PHASES]
+    ]
     named = [replace(of, name=f"Threat from step {at}", since=at) for at, of in zip(begins, layers, strict=True)]
     return [own, *named] if phases.plan_on == "worst" else [replace(own, since=0), *named[1:]]
 

@@ -531,7 +531,7 @@ def report(answer: Reproduction) -> Report:
             f"{counted(answer.maps, 'map')} a point, {counted(answer.rollouts, 'rollout')} a map and loop, "
             f"first seed {answer.seed}"
         ],
-        took=[finished.said],
+        took=[finished.description],
         parts=(
             Part("Statements", [_statements(answer.findings)] if answer.findings else (), [DEVIATION]),
             Part("Points", [_report_points(figure, answer.of(figure)) for figure in over], [POINTS] if over else (),

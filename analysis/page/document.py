@@ -95,14 +95,14 @@ _OPTION = re.compile(r"(--[a-z][\w-]*(?: (?!-)[^\s;,()]+)?)")
 """An option with its value, if it has one."""
 
 
-def _shown(value: Any) -> Any:
+def _as_text(value: Any) -> Any:
     """A value in a template before it is escaped: control and bidirectional characters are shown by name."""
     return value if isinstance(value, Html) else "" if value is None else visible(str(value))
 
 
 def unbroken(text: object) -> str:
     """A text with no-break spaces between a number and its unit, and between a sign and its number."""
-    return text if isinstance(text, Html) else _UNIT.sub("\N{NO-BREAK SPACE}", str(_shown(text)))
+    return text if isinstance(text, Html) else _UNIT.sub("\N{NO-BREAK SPACE}", str(_as_text(text)))
 
 
 def with_code(text: str) -> Html:
@@ -127,7 +127,7 @@ def _with_options(text: str, rest: Callable[[str], str]) -> Html:
 
 
 TEMPLATES = Environment(
-    loader=PackageLoader("analysis.page"), autoescape=True, finalize=_shown, undefined=StrictUndefined,
+    loader=PackageLoader("analysis.page"), autoescape=True, finalize=_as_text, undefined=StrictUndefined,
     trim_blocks=True, lstrip_blocks=True,
 )  # fmt: skip
 TEMPLATES.filters |= {"parted": parted, "with_code": with_code, "unbroken": unbroken}

@@ -178,13 +178,13 @@ class GivenPolicy:
     """A given policy.
 
     Attributes:
-        name: in the table. said: in errors.
+        name: in the table. description: in errors.
         given: the function, the planner's `Rule`, or the file that defines one as `policy`.
         actions: actions of a function, see `mrac.env`.
     """
 
     name: str
-    said: str
+    description: str
     given: Callable[..., Any] | Rule | Path
     actions: Literal["moves", "areas"] = "moves"
 
@@ -366,7 +366,9 @@ def run_suite(
     """
     RolloutChoices(rollouts=rollouts, seed=seed)
     if own is not None and own.name in (RANDOM, *PLANNER_ENTRIES):
-        raise UsageError(f"a policy with the name {own.name!r}", source=own.said, expected="a name of no other entry")
+        raise UsageError(
+            f"a policy with the name {own.name!r}", source=own.description, expected="a name of no other entry"
+        )
     asked = SuiteRun(rollouts, seed, own, plan_files(plans, names))
     wanted = wanted_for(None if own is None else own.given, processes, len(names))
     begun, found, partial_answer = time.monotonic(), {}, False
@@ -401,7 +403,7 @@ def play(asked: SuiteRun, name: str) -> WorldResults:
         rolled[rival] = _plan(world, plan_team(world, world.starts, settings), loop, choices)
     for planner, plan in plans.items():
         rolled |= {f"{planner}, {loop} loop": _plan(world, plan, loop, choices) for loop in ("open", "closed")}
-    best = None if world.doubt is not None else optimum(world, world.starts)
+    best = None if world.uncertainty is not None else optimum(world, world.starts)
     return WorldResults(name, len(world.starts), cells, most_cells(world, world.starts, flow=True), best, rolled)
 
 
@@ -413,7 +415,7 @@ def _own(own: GivenPolicy, world: World, make_env: Any, choices: RolloutChoices)
             return _plan(world, plan_team(world, world.starts, Settings(policy=policy)), "closed", choices)
         return _policy(make_env(actions=own.actions), policy, choices)
     except InputError as error:
-        raise InputError(f"{own.said} on {world.source}: {error}") from error
+        raise InputError(f"{own.description} on {world.source}: {error}") from error
 
 
 def _policy(env: Any, policy: Any, choices: RolloutChoices) -> Rolled:
@@ -520,7 +522,7 @@ def headline(standing: Leaderboard) -> str:
     if not ranked:
         return "No entry has a score: a score needs two rollouts, and a bound above the random walk."
     first, mine = ranked[0], [row for row in ranked if row.name == standing.own and row.rank != 1]
-    gained = without_level(first.score.said(100, " %"))
+    gained = without_level(first.score.describe(100, " %"))
     said = f"{first.name} is first: {gained} of the way from a random walk to the bound"
     said += "".join(
         f"; {row.name} has rank {row.rank} of {len(ranked)}, {_half(row.behind)} points behind" for row in mine

@@ -188,7 +188,7 @@ def report(judged: PolicyEvaluation) -> Report:
     table = make_table(("", "visited, %", "from .. to", "lost", "policy ahead, points"))
     table.add_row("the policy", *judged.coverage.columns(100.0, 100), judged.losses.columns()[0], "")
     for name, plan in judged.plans.items():
-        ahead = plan.ahead.said(100)
+        ahead = plan.ahead.describe(100)
         table.add_row(name, *plan.coverage.columns(100.0, 100), plan.losses.columns()[0], ahead)
     table.add_row(judged.walk, *judged.random.columns(100.0, 100), "", "")
     table.add_row("upper bound", ceiled(judged.bound, unit=""), "certified", "", "")
@@ -210,7 +210,7 @@ def headline(judged: PolicyEvaluation) -> str:
     best = max(judged.plans.items(), key=lambda item: item[1].coverage.mean, default=None)
     plan = "" if best is None else f"; `{best[0]}`: {percent(best[1].coverage.mean)}"
     said = "a random walk" if judged.walk == "random walk" else judged.walk
-    walk, bound, covers = percent(judged.random.mean), ceiled(judged.bound, 1), judged.coverage.said(100, " %")
+    walk, bound, covers = percent(judged.random.mean), ceiled(judged.bound, 1), judged.coverage.describe(100, " %")
     return f"It covers {without_level(covers)}{plan}; {said}: {walk}, upper bound: {bound}."
 
 

@@ -320,7 +320,7 @@ def discovery_of(world: World, seed: int, trace: Trace) -> Discovery:
     """The map knowledge in a rollout of the seed, for a team that does not know the true map."""
     assert world.knowledge is not None
     when = world.knowledge.first_seen(trace.cells, trace.doing != Doing.DEAD).reshape(world.shape)
-    truth = true_map(world.doubt, seed, trace.rollout) if isinstance(world.doubt, Uncertain) else world.met
+    truth = true_map(world.uncertainty, seed, trace.rollout) if isinstance(world.uncertainty, Uncertain) else world.met
     return Discovery(world.threat, truth, when)
 
 

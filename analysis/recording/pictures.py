@@ -222,7 +222,7 @@ class RolloutPicture:
         plan, self._found = stage.plan, stage.discovery(trace)
         world = stage.world
         if self._found is not None:  # draw the true map, behind the fog
-            world = replace(world, threat=self._found.truth, knowledge=None, doubt=None)
+            world = replace(world, threat=self._found.truth, knowledge=None, uncertainty=None)
         self._trace, self._plan, self._world, self._shape = trace, plan, world, world.shape
         self._frames = make_frames(trace, plan.state)
         self._accessible = world.accessible(plan.starts).ravel()

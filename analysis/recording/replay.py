@@ -75,7 +75,7 @@ def compare(stored: LogMessage, made: Message, stage: Stage, rollout: int, sourc
             raise Difference(f"{where}: {made.topic} says that it was published at {stored.publish_time} ns")
         return
     if stored.topic != made.topic:
-        said, expected = _words(stored.topic, stored.data, stage), _words(made.topic, made.data, stage)
+        said, expected = _text(stored.topic, stored.data, stage), _text(made.topic, made.data, stage)
         raise Difference(f"{where}: recorded {said}; the replay has {expected}")
     if stored.log_time != made.time:
         raise Difference(f"{where}: {made.topic} is at {seconds_text(stored.log_time)}")
@@ -100,7 +100,7 @@ def compare_outcomes(recorded: RecordedOutcomes, results: RolloutResults) -> Non
 def _fields(stored: LogMessage, made: Message, stage: Stage, source: Path) -> str:
     """The first difference between the fields of two data messages."""
     if made.topic == "/rollout/event":
-        said, expected = _words(made.topic, stored.data, stage), _words(made.topic, made.data, stage)
+        said, expected = _text(made.topic, stored.data, stage), _text(made.topic, made.data, stage)
         return f"recorded {said}; the replay has {expected}"
     try:
         old = decode(stored, source)
@@ -121,7 +121,7 @@ def _fields(stored: LogMessage, made: Message, stage: Stage, source: Path) -> st
     return f"{made.topic}: another encoding"
 
 
-def _words(topic: str, data: bytes, stage: Stage) -> str:
+def _text(topic: str, data: bytes, stage: Stage) -> str:
     """A message as text."""
     if topic != "/rollout/event":
         return topic

@@ -87,9 +87,9 @@ class Setting(NamedTuple):
         return {"policy": self.policy, "risk_cap": self.risk_cap, "robot_value": self.robot_value}
 
     def __str__(self) -> str:
-        return self.said(UNPACED)
+        return self.describe(UNPACED)
 
-    def said(self, pace: Pace) -> str:
+    def describe(self, pace: Pace) -> str:
         """For reports: "per_cell, robot value 40, ended at step 120"."""
         cut = "" if self.deadline is None else f", ended at {pace.step(self.deadline)}"
         return self.policy + "".join(f", {SETTINGS[name].title} {value:g}" for name, value in self.limits.items()) + cut
@@ -220,7 +220,7 @@ class Point:
         coverage: visited, a fraction of the accessible cells. losses: robots. time: steps.
         value: visited, a fraction of the value of all free cells; None: the map has no values.
         least, most: lower confidence bound of the mean coverage, upper bound of the mean losses; each is wrong with
-            probability at most `doubt` of `point_of`.
+            probability at most `alpha` of `point_of`.
         exact: exact expectations, without sampling.
     """
 
@@ -316,11 +316,11 @@ def settings_of(settings: Settings, setting: Setting) -> Settings:
     return replace(settings, **setting._asdict(), plan_for="closed_loop", effort=None)
 
 
-def point_of(setting: Setting, found: Measured, cells: int, doubt: float, longest: int) -> Point:
+def point_of(setting: Setting, found: Measured, cells: int, alpha: float, longest: int) -> Point:
     """A setting with its estimates.
 
     Args:
-        doubt: probability that a bound is wrong, for any distribution: one end of `Sampled.bounds`.
+        alpha: probability that a bound is wrong, for any distribution: one end of `Sampled.bounds`.
         longest: upper bound of a rollout's steps.
     """
     return Point(
@@ -329,8 +329,8 @@ def point_of(setting: Setting, found: Measured, cells: int, doubt: float, longes
         found.mean("lost"),
         found.mean("time", 1.0, longest if setting.deadline is None else min(longest, setting.deadline)),
         found.mean("value") if found.counted == "value" else None,
-        found.bounds("visited", 2 * doubt)[0] / cells,
-        found.bounds("lost", 2 * doubt)[1],
+        found.bounds("visited", 2 * alpha)[0] / cells,
+        found.bounds("lost", 2 * alpha)[1],
         found.exact,
     )
 
@@ -616,12 +616,12 @@ class _Search:
                 return replace(answer, pick=place, confirmed=again, tried=tried)
         return replace(answer, tried=len(eligible))
 
-    def _again(self, point: Point, doubt: float) -> Point:
+    def _again(self, point: Point, alpha: float) -> Point:
         """The point on fresh rollouts; an exact point is returned unchanged."""
         if point.exact:
             return point
         found = self._measured(point.setting, self.choices.rollouts)
-        return point_of(point.setting, found, self.cells, doubt, self.longest)
+        return point_of(point.setting, found, self.cells, alpha, self.longest)
 
     def _measured(self, setting: Setting, start: int) -> Measured:
         """The setting's expectations: exact, or estimated from the given number of rollouts, ids from `start` on."""

@@ -26,7 +26,7 @@ from analysis.utils.tables import json_text, make_table, without_level
 from planner.arguments import exactly
 from planner.files import Json
 from planner.formatting import chance, counted, percent
-from planner.world.scenario import said
+from planner.world.scenario import team_keys
 
 STARTS_SHOWN = 10
 """Places in the table; the JSON object holds all."""
@@ -49,7 +49,7 @@ def starts_report(starts: Starts) -> Report:
                          f"{choices.rollouts:,} of the last two{share}; "),
         ),
         picture=maps, parts=[Part("Places", [_starts_table(starts)], _starts_footnotes(starts))], notes=starts.notes,
-        settings=starts.settings.shown(starts.world.pace), pace=starts.world.pace, pictures={"starts.png": maps},
+        settings=starts.settings.described(starts.world.pace), pace=starts.world.pace, pictures={"starts.png": maps},
         files={"plan.json": lambda: json_text(starts.plan().to_json(), compact=True)},
     )  # fmt: skip
 
@@ -69,7 +69,7 @@ def starts_summary(starts: Starts) -> str:
         return f"{what}.{where}"
     if starts.stay:
         return f"{what}; not significantly better than {present_starts(starts)}: keep those unless a depot is needed."
-    return f"{what}, {without_level(starts.gain.said(100, ' points'))} more than from {present_starts(starts)}."
+    return f"{what}, {without_level(starts.gain.describe(100, ' points'))} more than from {present_starts(starts)}."
 
 
 def present_starts(starts: Starts) -> str:
@@ -82,9 +82,9 @@ def starts_findings(starts: Starts) -> Iterator[str]:
     """The figures with their intervals, the comparison with other places, and the command to evaluate."""
     again = starts.confirmed
     if again is not None and again.coverage is not None and again.losses is not None:
-        worth = "" if again.value is None else f"{again.value.said(100, ' %')} of the value and "
+        worth = "" if again.value is None else f"{again.value.describe(100, ' %')} of the value and "
         cells = "" if again.value is None else " of the cells"
-        covered = f"{worth}{again.coverage.said(100, ' %')}{cells} covered"
+        covered = f"{worth}{again.coverage.describe(100, ' %')}{cells} covered"
         yield sourced(
             again.rollouts, without_level(f"{covered}, {losses_sentence(again.losses, len(starts.starts))} lost.")
         )
@@ -258,7 +258,7 @@ def clear_report(clearing: Clearing) -> Report:
         ),
         picture=lambda: _clear_maps(clearing), parts=[Part("Threats", [_clear_table(clearing)],
         _clear_footnotes(clearing))],
-        notes=clearing.notes, settings=clearing.settings.shown(clearing.world.pace), pace=clearing.world.pace,
+        notes=clearing.notes, settings=clearing.settings.described(clearing.world.pace), pace=clearing.world.pace,
         pictures={"clear.png": lambda: _clear_maps(clearing, 0), "risk_paid.png": lambda: _clear_maps(clearing, 2)},
     )  # fmt: skip
 
@@ -283,7 +283,7 @@ def place_words(clearing: Clearing, threat: Threat) -> str:
 
 
 def _clear_said(clearing: Clearing, gain: Gain | None) -> str:
-    return "" if gain is None else gain.counted.said(unit=f" {clearing.unit}")
+    return "" if gain is None else gain.counted.describe(unit=f" {clearing.unit}")
 
 
 def _more(clearing: Clearing, gain: Gain | None) -> str:
@@ -294,7 +294,7 @@ def clear_findings(clearing: Clearing) -> Iterator[str]:
     """The gain with its interval, the comparison with other threats, gains with the old plan, and further removals."""
     first, gain = clearing.turns[0], clearing.gain
     if gain is not None:
-        yield sourced(gain.rollouts, f"after replanning, {gain.said('more')}.")
+        yield sourced(gain.rollouts, f"after replanning, {gain.describe('more')}.")
     yield first.certainty("better to remove")
     unknown = first.best_unknown
     most, own = (_clear_said(clearing, one.unknown) for one in (unknown, first.picked))
@@ -425,7 +425,7 @@ def attack_report(attack: Attack) -> Report:
                        f"{counted(choices.rollouts, 'rollout')} of the last two, the same ids for all; "),
         ),
         picture=lambda: _attack_maps(attack), parts=[Part("Cells", [_attack_table(attack)], _attack_footnotes(attack))],
-        notes=attack.notes, settings=attack.settings.shown(attack.world.pace), pace=attack.world.pace,
+        notes=attack.notes, settings=attack.settings.described(attack.world.pace), pace=attack.world.pace,
         pictures={"attack.png": lambda: _attack_maps(attack, 0)}
         | ({"hidden.png": lambda: _attack_maps(attack, 1)} if hidden else {}),
         files={"known.npz": attack.known_world.to_bytes}
@@ -436,7 +436,7 @@ def attack_report(attack: Attack) -> Report:
 
 def _scenario(attack: Attack) -> bytes:
     """The scenario of the map with the known threats and the team."""
-    team = said({"starts": attack.starts.tolist()}, attack.settings, attack.world.pace)
+    team = team_keys({"starts": attack.starts.tolist()}, attack.settings, attack.world.pace)
     return yaml.safe_dump({"map": {"file": "known.npz"}} | team, sort_keys=False).encode()
 
 
@@ -456,7 +456,7 @@ def _at(threats: tuple[Threat, ...]) -> str:
 
 
 def _attack_said(attack: Attack, gain: Gain) -> str:
-    return gain.counted.said(unit=f" {attack.unit}")
+    return gain.counted.describe(unit=f" {attack.unit}")
 
 
 def _fewer(attack: Attack, gain: Gain) -> str:
@@ -467,7 +467,7 @@ def attack_findings(attack: Attack) -> Iterator[str]:
     """Cost in cells and robots, each placement in the other case, and the comparison with other cells."""
     for placed, own, kind in ((attack.known, attack.known.known, KNOWN), (attack.hidden, attack.hidden.hidden, HIDDEN)):
         if own is not None:
-            yield sourced(own.rollouts, f"{_at(placed.threats)} against {kind}: {own.said('fewer')}.")
+            yield sourced(own.rollouts, f"{_at(placed.threats)} against {kind}: {own.describe('fewer')}.")
     known, hidden = attack.known.hidden, attack.hidden.known
     if known is not None and hidden is not None:
         yield (

@@ -40,7 +40,7 @@ def size_report(size: TeamSize) -> Report:
         heading=(f"{map_text(world, size.cells)}, so the target is {size.needed} of them",
                  f"{size.choices.loop} loop, {seed_text(world, size.choices, size.engine)}"),
         picture=lambda: chart, parts=[Part("Teams", [_table(size)], _footnotes(size))], notes=size.notes,
-        settings=size.settings.shown(world.pace), pace=world.pace, pictures={"size.png": lambda: [chart]},
+        settings=size.settings.described(world.pace), pace=world.pace, pictures={"size.png": lambda: [chart]},
     )  # fmt: skip
 
 
@@ -311,7 +311,7 @@ def front_report(front: Front) -> Report:
     choices, robots, picked = front.choices, len(front.starts), front.picked
     over_losses, over_time = _front_chart(front, "losses"), _front_chart(front, "time")
     prices = _prices(front)
-    settings = settings_of(front.settings, Setting("mrac")).shown(front.world.pace)
+    settings = settings_of(front.settings, Setting("mrac")).described(front.world.pace)
     return Report(
         "front", "front", asked(front.world, robots, "how many robots does coverage cost?"), front_summary(front),
         lambda: _front_json(front), selection_lines(front), _front_key_figures(front),
@@ -379,7 +379,7 @@ def _picked(front: Front) -> str:
 
 
 def _named(front: Front, point: Point) -> str:
-    return point.setting.said(front.world.pace)
+    return point.setting.describe(front.world.pace)
 
 
 def _percent(point: Point) -> str:
@@ -428,7 +428,7 @@ def _kept(front: Front, again: Point) -> str:
 
 
 def _fresh(front: Front, point: Point) -> str:
-    said = f"{point.coverage.said(100, ' %')} covered, {losses_sentence(point.losses, len(front.starts))} lost"
+    said = f"{point.coverage.describe(100, ' %')} covered, {losses_sentence(point.losses, len(front.starts))} lost"
     return without_level(said).replace(" (exact)", "")
 
 

@@ -27,7 +27,7 @@ from analysis.report.answer import Searched
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import Estimate
 from analysis.theory.bounds import best_survival
-from analysis.theory.exact import Worth, open_loop_exact
+from analysis.theory.exact import CellValues, open_loop_exact
 from analysis.utils.notes import Doing, ProgressCallback, quiet
 from planner.arguments import argument
 from planner.errors import MapError, UsageError
@@ -353,7 +353,7 @@ def depots_of(
     for cell in islice(round_robin(ordered), PLANNED):
         alone = make_plan(world, cell[None], settings.alone)
         known = open_loop_exact(alone, world)
-        own = known.visited if world.value is None else float(Worth.of(world).value @ known.visited_by_cell)
+        own = known.visited if world.value is None else float(CellValues.of(world).value @ known.visited_by_cell)
         planned[tuple(cell.tolist())] = own
     return [
         Place(np.tile(cell, (robots, 1)), float(bounds[site]), planned.get(tuple(cell.tolist())))

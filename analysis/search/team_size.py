@@ -19,7 +19,7 @@ from analysis.estimators.trial import Measured, Trial
 from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import TARGETS, Estimate, error_share, exactly, is_at_least, looks
-from analysis.theory.exact import Worth
+from analysis.theory.exact import CellValues
 from analysis.theory.verdicts import longest_run
 from analysis.utils.notes import Doing, ProgressCallback, of_things, quiet
 from planner.arguments import BLOCK, MOST_ROLLOUTS, Numbers, argument, check_word, whole
@@ -251,7 +251,7 @@ class TeamSize(Answer):
         cells: number of cells that the largest team can reach. needed: number of them that makes the target.
         points: the teams simulated or excluded by a bound, by size. robots: the smallest that is enough, or None (also
             after an interruption).
-        doubt: error probability of one comparison of one team (see `error_share`).
+        alpha: error probability of one comparison of one team (see `error_share`).
         confirmed: the team found on rollout ids that no team had in the search; None: its figures are exact.
         engine: engine of the rollouts; "" if there were none. partial: True after an interruption. notes: for the user.
     """
@@ -268,7 +268,7 @@ class TeamSize(Answer):
     needed: int
     points: tuple[TeamPoint, ...]
     robots: int | None
-    doubt: float
+    alpha: float
     confirmed: TeamPoint | None = None
     engine: str = ""
     partial: bool = False
@@ -398,7 +398,7 @@ class _Search:
         self.marks = marks
         able_teams = len(self.starts) + 1 - self.first if self.first else 1
         # Union bound over all teams and checks of the search.
-        self.doubt = error_share(able_teams, len(marks))
+        self.alpha = error_share(able_teams, len(marks))
         self.engine, self.all_pairs = "", AllPairs()
         ruled_out = range(1, self.first or len(self.starts) + 1)
         self.points = {k: self._unseen(k, TeamVerdict.IMPOSSIBLE) for k in ruled_out}
@@ -466,16 +466,16 @@ class _Search:
         meaning, known = self.goal.meaning, trial.open_loop
         coverage, chance = found.mean(meaning, 1.0 / self.cells), found.chance(meaning, self.needed)
         value = found.mean("value") if found.counted == "value" else None
-        low, high = (end / self.cells for end in found.bounds(meaning, self.doubt))
+        low, high = (end / self.cells for end in found.bounds(meaning, self.alpha))
         if known is not None:
             coverage = exactly(getattr(known, meaning) / self.cells)
             # An exact mean has a degenerate interval.
             low, high = coverage.ci95
             if self.world.value is not None:
-                worth = Worth.of(self.world)
+                worth = CellValues.of(self.world)
                 value = exactly(float(worth.value @ known.visited_by_cell) / worth.total)
         if self.goal.confidence is not None:
-            low, high = found.chance_bounds(meaning, self.needed, self.doubt)
+            low, high = found.chance_bounds(meaning, self.needed, self.alpha)
         robots = len(trial.plan.robots)
         return replace(
             self._unseen(robots, verdict_of_team((low, high), self.goal.wanted)),
@@ -514,7 +514,7 @@ class _Search:
             needed=self.needed,
             points=tuple(self.points[k] for k in sorted(self.points)),
             robots=robots,
-            doubt=self.doubt,
+            alpha=self.alpha,
             engine=self.engine,
             partial=partial,
             notes=self.notes,

@@ -16,7 +16,7 @@ from analysis.report.answer import Searched
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import Estimate
 from analysis.theory.bounds import reach_chances
-from analysis.theory.exact import Worth, coverage_gradient
+from analysis.theory.exact import CellValues, coverage_gradient
 from analysis.theory.upper_bound import MOST_CELLS, any_strategy, value_bound
 from analysis.utils.notes import Doing, ProgressCallback, quiet
 from planner.arguments import Numbers, argument, check_word, whole
@@ -95,7 +95,7 @@ class Gain:
         """The gain that is compared: value if the map has values, else cells."""
         return self.cells if self.value is None else self.value
 
-    def said(self, more: str) -> str:
+    def describe(self, more: str) -> str:
         """The other gains, for reports: cells `more` or fewer, if value is compared, and robots lost."""
         words = ("more", "fewer") if more == "more" else ("fewer", "more")
         cells = "" if self.value is None else f"{self.cells.more(unit=' cells', words=words)}, "
@@ -103,7 +103,7 @@ class Gain:
         if even < EVEN:
             return f"{cells}the same losses" + (f" (± {even:.1g})" if even >= EVEN / 10 else "")
         lost = self.robots if self.robots.mean >= 0 else self.robots.negated
-        return f"{cells}{lost.said()} robots lost {words[self.robots.mean >= 0]}"
+        return f"{cells}{lost.describe()} robots lost {words[self.robots.mean >= 0]}"
 
     def to_json(self) -> Json:
         """Cells, value and robots as JSON."""
@@ -286,7 +286,7 @@ class Search:
         self.starts, self.settings, self.choices, self.placing = starts, settings, choices, placing
         self.progress, self.doing, self.robots = progress, doing, len(starts)
         self.cells, self.valued = int(world.accessible(starts).sum()), world.value is not None
-        self.total = Worth.of(world).total if self.valued else float(self.cells)
+        self.total = CellValues.of(world).total if self.valued else float(self.cells)
         self.exact = True
         # Every map has its own distance table of cells**2 entries.
         self.most = min(most, max(FEWEST, TABLES // self.cells**2))
@@ -379,7 +379,7 @@ class Search:
         """The flow programme with values, or the value weighted by the probability to reach each cell."""
         if flow:
             return value_bound(world, self.starts, ways=False)
-        return float(Worth.of(world).value @ reach_chances(world, self.starts))
+        return float(CellValues.of(world).value @ reach_chances(world, self.starts))
 
     def confirm(self, trials: Sequence[Trial]) -> list[Gain]:
         """Gains of the other trials against the first, on fresh rollouts."""
@@ -552,7 +552,7 @@ MOST_PLACES = 512
 """Largest number of searched cells; on larger maps those where added threat costs the plan's paths most."""
 ROUNDS = 2
 """Largest number of rounds in which every threat may move; a threat moves only if that costs more."""
-CHANCE = Numbers(1e-6, 1 - 2**-25, below=True, said="a chance, 1e-6 or more and below 1")
+CHANCE = Numbers(1e-6, 1 - 2**-25, below=True, text="a chance, 1e-6 or more and below 1")
 
 
 @dataclass

@@ -193,7 +193,7 @@ class Estimate:
         """Half the width of the interval before it was clipped to the possible range."""
         return max(self.ci95[1] - self.mean, self.mean - self.ci95[0])
 
-    def said(
+    def describe(
         self, scale: float = 1.0, unit: str = "", most: int | None = None, least: int = 0, less: str = "less"
     ) -> str:
         """The mean, times `scale`, with the half-width of its interval: "67.35 % ± 0.14 (95 %)".
@@ -211,7 +211,7 @@ class Estimate:
 
     def more(self, scale: float = 1.0, unit: str = "", words: tuple[str, str] = ("more", "fewer")) -> str:
         """A difference as text: "4.1 cells ± 0.2 (95 %) more"; below 0 "0.3 cells ± 0.2 (95 %) fewer"."""
-        return f"{(self if self.mean >= 0 else self.negated).said(scale, unit)} {words[self.mean < 0]}"
+        return f"{(self if self.mean >= 0 else self.negated).describe(scale, unit)} {words[self.mean < 0]}"
 
     def around(
         self, scale: float = 1.0, sign: str = "", most: int | None = None, digits: int = 1, unit: str = ""
@@ -493,8 +493,8 @@ TARGETS = Numbers(0, 1, "a fraction of the accessible cells", above=True)
 def difference_text(more: Estimate, costs: str, instead: str, other: str = "more") -> str:
     """ "not knowing it costs 4.1 points ± 0.2 (95 %)"; below 0: "robots that do not know it visit 0.5 points more"."""
     if more.mean >= 0:
-        return f"{costs} {more.said(100, ' points')}"
-    return f"{instead} {more.negated.said(100, f' points {other}')}"
+        return f"{costs} {more.describe(100, ' points')}"
+    return f"{instead} {more.negated.describe(100, f' points {other}')}"
 
 
 def losses_sentence(losses: Estimate, robots: int, *, mean_only: bool = False) -> str:
@@ -505,7 +505,7 @@ def losses_sentence(losses: Estimate, robots: int, *, mean_only: bool = False) -
     words = robots_text(losses.mean, robots, digits := min(losses.digits(), 2))
     if not words[0].isdigit():
         return words
-    mean = of_all(losses.mean, robots, digits) if mean_only else losses.said(most=robots, least=1, less="fewer")
+    mean = of_all(losses.mean, robots, digits) if mean_only else losses.describe(most=robots, least=1, less="fewer")
     return f"{mean} robots"
 
 

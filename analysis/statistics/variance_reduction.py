@@ -122,13 +122,15 @@ def of_tally(tally: Tally, figure: str) -> Controlled | None:
     Returns None if the tally lacks the sums by class or has fewer than LEAST rollouts. Raises ValueError for an empty
     tally.
     """
-    by_luck = tally.by_luck.reshape(-1, len(COLUMNS))
-    if tally.rollouts < LEAST or int(by_luck[:, 0].sum()) != tally.rollouts:
+    by_threshold = tally.by_threshold.reshape(-1, len(COLUMNS))
+    if tally.rollouts < LEAST or int(by_threshold[:, 0].sum()) != tally.rollouts:
         return None
     counts = _complete(tally) if figure == "complete" else getattr(tally, figure)
     values = np.flatnonzero(counts)
     plain = sample_of(values, counts[values])
-    return controlled(by_luck[:, 0], by_luck[:, COLUMNS.index(figure)].astype(np.float64), plain, tally.robots)
+    return controlled(
+        by_threshold[:, 0], by_threshold[:, COLUMNS.index(figure)].astype(np.float64), plain, tally.robots
+    )
 
 
 def tally_mean(
@@ -196,12 +198,12 @@ def control_sums(tally: Tally) -> list[int]:
 
     They fit int64 for one block of rollouts. Empty if the tally lacks the sums by class.
     """
-    by_luck = tally.by_luck.reshape(-1, len(COLUMNS))
-    held = np.flatnonzero(by_luck[:, 0])
+    by_threshold = tally.by_threshold.reshape(-1, len(COLUMNS))
+    held = np.flatnonzero(by_threshold[:, 0])
     if not len(held):
         return []
-    often, controls = by_luck[held, 0], pieces(held, tally.robots)
-    products, along = (often[:, None] * controls).T @ controls, by_luck[held, 1:].T @ controls
+    often, controls = by_threshold[held, 0], pieces(held, tally.robots)
+    products, along = (often[:, None] * controls).T @ controls, by_threshold[held, 1:].T @ controls
     return np.concatenate([[often.sum()], often @ controls, products[TRIANGLE], along.ravel()]).tolist()
 
 

@@ -55,7 +55,7 @@ from planner.world.features import with_truth
 from planner.world.keys import PLACE, PROBABILITY, Key
 from planner.world.levels import place_starts
 from planner.world.map_knowledge import RANGE, Sense
-from planner.world.scenario import said
+from planner.world.scenario import team_keys
 from planner.world.world import MAX_ROBOTS, World
 
 # The page: controls around an empty map, which its script fills with the server's data.
@@ -138,7 +138,7 @@ class Sketch:
     def of(cls, world: World, robots: int, settings: Settings) -> Sketch:
         """The sketch of an input. Raises WorldError for an input that cannot be painted on."""
         known, sketch = world.knowledge, cls(world, robots, settings)
-        if world.doubt is not None or world.types is not None:
+        if world.uncertainty is not None or world.types is not None:
             world.require_certain_map("painting")
         if known is None:
             return sketch
@@ -177,7 +177,7 @@ class Sketch:
         raster = raster_of(out)
         starts = self.world.starts
         team: Json = {"count": self.robots} if starts is None else {"starts": starts.tolist()}
-        keys = {"map": {"file": raster.name}} | said(team, self.settings, self.world.pace)
+        keys = {"map": {"file": raster.name}} | team_keys(team, self.settings, self.world.pace)
         text = yaml.safe_dump(keys, sort_keys=False)
         self.world.with_starts(None).save(raster, force=True)
         with atomic_write(out) as stream:
@@ -273,7 +273,7 @@ def headline(robots: int, mean: Estimate, losses: Estimate, alone: bool = False)
 
 def coverage(mean: Estimate) -> str:
     """A mean coverage in percent with its interval, or marked as exact."""
-    return f"{percent(mean.mean, 2)} (exact)" if mean.half_width == 0 else mean.said(100.0, " %")
+    return f"{percent(mean.mean, 2)} (exact)" if mean.half_width == 0 else mean.describe(100.0, " %")
 
 
 def page_figures(
@@ -305,7 +305,7 @@ def knowledge_figures(found: Sequence[Measured]) -> list[Figure]:
     def figure(more: Measured, less: Measured, names: tuple[str, str], what: str, team: Measured) -> Figure:
         alone, ahead = percent(team.mean("visited", unit).mean), more.ahead(less, "visited", unit)
         name, ahead = (names[0], ahead) if ahead.mean >= 0 else (names[1], ahead.negated)
-        return Figure(ahead.said(100.0, " points"), name, f"{what}: {alone} covered")
+        return Figure(ahead.describe(100.0, " points"), name, f"{what}: {alone} covered")
 
     costs = figure(known, online, ("cost of the unknown map", "gain by the unknown map"), "known map", known)
     sensing = ("gain by the sensor", "cost of the sensor")

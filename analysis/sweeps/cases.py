@@ -278,7 +278,7 @@ def canonical(value: object) -> str:
     return json.dumps(value, sort_keys=True, separators=(",", ":"))
 
 
-def shown(value: Label) -> str:
+def format_label(value: Label) -> str:
     """A label's value as text."""
     return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
@@ -509,7 +509,7 @@ def facts_of(team: Team, plan: Plan, most: int | None = None) -> Json:
         "visited": exact.visited, "survived": exact.survived, "time": exact.mean_time,
         "alive": float(exact.survival.sum()),
     }  # fmt: skip
-    ideal = plan.failure_model.is_plain and world.doubt is None
+    ideal = plan.failure_model.is_plain and world.uncertainty is None
     return {
         "shape": list(world.shape),
         "world": world.randomness_sha256,

@@ -102,7 +102,7 @@ class Finished:
     earlier: int = 0
 
     @property
-    def said(self) -> str:
+    def description(self) -> str:
         """One line for reports."""
         return f"{self.seconds:.0f} s: {counted(self.rollouts, 'rollout')} run, {self.reused:,} from the store"
 
@@ -351,8 +351,8 @@ def follows_earlier_rules(run: Run, store: Store, homes: dict[str, bool]) -> boo
         return plan_on in (None, "now")
     if what.get("moving_threats") is not None:
         return plan_on is None
-    in_doubt = any(what.get(name) is not None for name in ("latent_hazard", "map_uncertainty"))
-    return None if CHANGES in world and not in_doubt else False
+    is_uncertain = any(what.get(name) is not None for name in ("latent_hazard", "map_uncertainty"))
+    return None if CHANGES in world and not is_uncertain else False
 
 
 def earlier_note(sure: int, unsure: int) -> list[str]:

@@ -14,7 +14,7 @@ from analysis.page.document import CURVE_COLOURS as COLOURS
 from analysis.page.document import Chart, Series
 from analysis.report.model import Part, Report
 from analysis.statistics.estimates import Estimate
-from analysis.sweeps.cases import RULES, Label, shown
+from analysis.sweeps.cases import RULES, Label, format_label
 from analysis.sweeps.results import DIFFERENCES, EXACT, FIGURES, FRACTIONS, Results, Row
 from analysis.sweeps.sweep import Sweep
 from analysis.utils.tables import csv_text, make_table
@@ -62,7 +62,7 @@ def of_sweep(sweep: Sweep) -> Report:
 
 def of_results(results: Results) -> Report:
     """The number of runs, their common labels, and the rows."""
-    common = ", ".join(f"{name} {shown(value)}" for name, value in results.common.items())
+    common = ", ".join(f"{name} {format_label(value)}" for name, value in results.common.items())
     said = f"{counted(results.runs, 'run')}{': ' if common else ''}{common}"
     parts = [_rows_part(results.rows)]
     return Report("results", "results", "", said, partial(results_json, results), parts=parts, notes=results.notes)
@@ -81,11 +81,11 @@ def headline(sweep: Sweep) -> str:
 def named(row: Row) -> str:
     """A row's labels as text."""
 
-    def said(name: str, value: Label | None) -> str:
+    def text(name: str, value: Label | None) -> str:
         team = name == "robots" and isinstance(value, int)
-        return counted(int(value), "robot") if team and value else f"{name.replace('_', ' ')} {shown(value)}"
+        return counted(int(value), "robot") if team and value else f"{name.replace('_', ' ')} {format_label(value)}"
 
-    return ", ".join(said(name, value) for name, value in row.labels.items())
+    return ", ".join(text(name, value) for name, value in row.labels.items())
 
 
 def done_words(sweep: Sweep) -> str:
@@ -151,7 +151,7 @@ def rows_table(rows: Sequence[Row]) -> Table:
     columns = (*labels, *figures, *(("more than first, points",) if compared else ()))
     table = make_table(columns, left=labels, dropped=("open, %", "survived, %", "complete, %"))
     for number, row in enumerate(rows):
-        cells = [shown(row.labels.get(name)) for name in names]
+        cells = [format_label(row.labels.get(name)) for name in names]
         cells += [f"{row.maps:,}", f"{row.rollouts:,}"] if uneven else []
         cells += [percent(row.estimate("visited")), percent(row.estimate("survived"))]
         known = row.known("exact visited")
@@ -203,12 +203,12 @@ def lines_of(rows: Sequence[Row]) -> tuple[str, tuple[str, ...], dict[str, list[
     names = list(dict.fromkeys(name for row in rows for name in row.labels))
     numeric = [name for name in names if all(_is_number(row.labels.get(name)) for row in rows)]
     axis = next(iter([*numeric, *names]), "")
-    words = [] if axis in numeric else list(dict.fromkeys(shown(row.labels.get(axis)) for row in rows))
+    words = [] if axis in numeric else list(dict.fromkeys(format_label(row.labels.get(axis)) for row in rows))
     lines: dict[str, list[tuple[float, Row]]] = {}
     for row in rows:
         value = row.labels.get(axis)
-        at = float(words.index(shown(value))) if words else float(value or 0)
-        others = ", ".join(f"{name} {shown(row.labels.get(name))}" for name in names if name != axis)
+        at = float(words.index(format_label(value))) if words else float(value or 0)
+        others = ", ".join(f"{name} {format_label(row.labels.get(name))}" for name in names if name != axis)
         lines.setdefault(others, []).append((at, row))
     return axis, tuple(words), {name: sorted(points, key=lambda point: point[0]) for name, points in lines.items()}
 

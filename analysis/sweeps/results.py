@@ -27,7 +27,7 @@ from analysis.statistics.variance_reduction import (
     with_controls,
 )
 from analysis.statistics.variance_reduction import FIGURES as BESIDE_LUCK
-from analysis.sweeps.cases import RULES, Label, shown
+from analysis.sweeps.cases import RULES, Label, format_label
 from analysis.sweeps.engine import EARLIER, MAP_LABELS, EarlierRuns, earlier_note, follows_earlier_rules
 from analysis.sweeps.spec import WORLD, is_path
 from analysis.sweeps.store import Run, Store
@@ -449,7 +449,7 @@ def select(store: Store, where: Where) -> Iterator[Run]:
     """The runs with rollouts whose labels have a wanted value."""
     older = EarlierRuns(store)
     for run in map(older.labelled, store.runs()):
-        fits = all(name in run.what and shown(run.what[name]) in values for name, values in where.items())
+        fits = all(name in run.what and format_label(run.what[name]) in values for name, values in where.items())
         if fits and run.sums is not None:
             yield run
 
@@ -484,7 +484,7 @@ def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
     for place in sorted(groups, key=lambda values: [_order(value) for value in values]):
         labels, group = dict(zip(wanted, place, strict=True)), _in_order(groups[place])
         maps = complete(group.values())
-        said = ", ".join(f"{name} {shown(value)}" for name, value in labels.items()) or "all runs"
+        said = ", ".join(f"{name} {format_label(value)}" for name, value in labels.items()) or "all runs"
         if not maps:
             fix = f"use {argument('by', [*wanted, *pooled])}, or select some with {argument('where')}"
             expected = "maps that have all of them"
@@ -511,7 +511,7 @@ def _pooled_notes(seen: dict[str, set[Label]], wanted: Sequence[str], pooled: Se
         return []
     parts = []
     for name in pooled:
-        values = [shown(value) or "none" for value in sorted(seen[name], key=_order)]
+        values = [format_label(value) or "none" for value in sorted(seen[name], key=_order)]
         parts.append(f"{name}: {', '.join(values)}{', ...' if len(values) == MOST_VALUES else ''}")
     apart = argument("by", [*wanted, *pooled])
     return [f"pooled over {'; '.join(parts)} (each map counts once; {apart} separates them)"]
@@ -539,8 +539,10 @@ def _nothing(store: Store, where: Where) -> UsageError:
     seen = labels_of(store, {})
     for name in where:
         check_word("where", name, seen)
-    name = next((n for n, values in where.items() if not set(map(shown, seen[n])) & set(values)), next(iter(where)))
-    has = ", ".join(sorted(shown(value) for value in seen[name]))
+    name = next(
+        (n for n, values in where.items() if not set(map(format_label, seen[n])) & set(values)), next(iter(where))
+    )
+    has = ", ".join(sorted(format_label(value) for value in seen[name]))
     return UsageError(
         f"no run fits {argument('where')} {name}={','.join(where[name])}", source=source, expected=f"{name} of {has}"
     )

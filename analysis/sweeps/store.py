@@ -344,12 +344,12 @@ class Store:
         """The labels of all runs."""
         with _store_errors(self.path, write=False):
             for row in self._connection.execute(_RUNS):
-                yield self._said(row)[0]
+                yield self._as_json(row)[0]
 
     def label(self, key: str, what: Mapping[str, Label]) -> None:
         """Add labels to a run; existing labels are not changed."""
         for row in self._rows(f"{_RUNS} WHERE key = ?", key):
-            if not what.keys() <= self._said(row)[0].keys():
+            if not what.keys() <= self._as_json(row)[0].keys():
                 with _store_errors(self.path), transaction(self._connection):
                     self._add_run(key, row[1], dict(what), {})
 
@@ -415,7 +415,7 @@ class Store:
     def _add_run(self, key: str, identity: str, what: dict[str, Label], facts: Json) -> None:
         for row in self._rows(f"{_RUNS} WHERE key = ?", key):
             check_identity(key, row[1], identity, what, self.path)
-            held, known = self._said(row)
+            held, known = self._as_json(row)
             if all(name in held for name in what):
                 return
             what, facts = what | held, known
@@ -441,14 +441,14 @@ class Store:
         return left_out
 
     def _run(self, row: tuple[Any, ...]) -> Run:
-        what, facts = self._said(row)
+        what, facts = self._as_json(row)
         sums, ids = None, []
         for part, found in self._parts(row[0]):
             ids += part
             sums = found if sums is None else add_sums(sums, found)
         return Run(row[0], what, facts, joined(ids), sums)
 
-    def _said(self, row: tuple[Any, ...]) -> tuple[dict[str, Label], Json]:
+    def _as_json(self, row: tuple[Any, ...]) -> tuple[dict[str, Label], Json]:
         """A run's labels and facts, without its blocks. Raises StoreError if they are damaged."""
         if not _is_run(row):
             raise damaged(self.path, f"run {str(row[0])[:12]}")

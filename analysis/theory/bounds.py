@@ -76,7 +76,7 @@ def all_bounds(plan: Plan, world: World) -> Bounds:
     Undefined for uncertain and for unknown maps. With a Weibull shape or hazard multipliers only eqs. (1) and (4) hold
     (SPEC section 14).
     """
-    if world.doubt is not None or world.knowledge is not None:
+    if world.uncertainty is not None or world.knowledge is not None:
         return _nothing_known(plan)
     robots = chances_of(plan, world)
     gains = tuple(eq4(robot) for robot in robots)

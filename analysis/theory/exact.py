@@ -47,29 +47,33 @@ def ways(plan: Plan, world: World) -> Iterator[Way] | None:
     `consumed` hazards no cell may be shared; with maps drawn by level there may be one robot. For moving threats and
     phases: None.
     """
-    doubt = world.doubt
-    if isinstance(doubt, MovingThreats | Phases):
+    uncertainty = world.uncertainty
+    if isinstance(uncertainty, MovingThreats | Phases):
         return None
-    if doubt is None or world.draws is None or not any(world.draws.bound[robot.path].any() for robot in plan.robots):
+    if (
+        uncertainty is None
+        or world.draws is None
+        or not any(world.draws.bound[robot.path].any() for robot in plan.robots)
+    ):
         return iter([Way(1.0, [_entered(world.met, robot) for robot in plan.robots])])
-    if isinstance(doubt, Uncertain):
-        if doubt.whole:
-            maps = map(doubt.threat_at, range(doubt.count))
-            return (Way(1.0 / doubt.count, [_entered(threat, robot) for robot in plan.robots]) for threat in maps)
+    if isinstance(uncertainty, Uncertain):
+        if uncertainty.whole:
+            maps = map(uncertainty.threat_at, range(uncertainty.count))
+            return (Way(1.0 / uncertainty.count, [_entered(threat, robot) for robot in plan.robots]) for threat in maps)
         return iter([Way(1.0, alone(plan, world))]) if len(plan.robots) == 1 else None
-    shared = _shared(plan, doubt)
-    if len(shared) > (MOST_SHARED if doubt.kind == "persistent" else 0):
+    shared = _shared(plan, uncertainty)
+    if len(shared) > (MOST_SHARED if uncertainty.kind == "persistent" else 0):
         return None
-    return _patterns(plan, doubt, shared)
+    return _patterns(plan, uncertainty, shared)
 
 
 def alone(plan: Plan, world: World) -> list[NDArray[np.float64]]:
     """Threat of each entry of each robot, given that it is made, float64 `[E]`, without the effect of other robots."""
-    doubt = world.doubt
-    if isinstance(doubt, Uncertain):
-        return [_by_level(robot, doubt) for robot in plan.robots]
-    if isinstance(doubt, Hazard):
-        return [_by_hazard(robot, doubt.q, doubt.h) for robot in plan.robots]
+    uncertainty = world.uncertainty
+    if isinstance(uncertainty, Uncertain):
+        return [_by_level(robot, uncertainty) for robot in plan.robots]
+    if isinstance(uncertainty, Hazard):
+        return [_by_hazard(robot, uncertainty.q, uncertainty.h) for robot in plan.robots]
     return [_entered(world.met, robot) for robot in plan.robots]
 
 
@@ -91,13 +95,13 @@ def _by_hazard(robot: RobotPlan, q: NDArray[np.float32], h: NDArray[np.float32])
     return hit * np.divide(still, left, out=np.zeros_like(still), where=left > 0)
 
 
-def _by_level(robot: RobotPlan, doubt: Uncertain) -> NDArray[np.float64]:
+def _by_level(robot: RobotPlan, uncertainty: Uncertain) -> NDArray[np.float64]:
     """Threat of each entry if the levels' maps are independent: survival is a product of means over the levels."""
     cells = robot.path[robot.entered]
-    number, column = doubt.number.ravel()[cells], doubt.column.ravel()[cells]
+    number, column = uncertainty.number.ravel()[cells], uncertainty.column.ravel()[cells]
     reach = np.ones(len(cells) + 1)
     for one in np.unique(number):
-        passed = np.where(number == one, 1.0 - doubt.chances[:, column].astype(np.float64), 1.0)
+        passed = np.where(number == one, 1.0 - uncertainty.chances[:, column].astype(np.float64), 1.0)
         reach[1:] *= np.cumprod(passed, axis=1).mean(axis=0)
     return 1.0 - reach[1:] / reach[:-1]
 
@@ -385,14 +389,18 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
             for number, robot in enumerate(plan.robots)
         ]
         return exact_of(plan, robots, world.threat.size)
-    if world.doubt is None and world.knowledge is None:
+    if world.uncertainty is None and world.knowledge is None:
         return exact_of(plan, chances_of(plan, world), world.threat.size)
     if world.movers is not None and len(plan.robots) == 1 and is_worth_it(world, plan.makespan):
         waits = max(plan.time - plan.makespan, 0)  # external plans have no waits
         one = chances_among(plan.robots[0], world, plan.failure_model, waits)
         return exact_of(plan, [one], world.threat.size)
-    doubt, plain = world.doubt, plan.failure_model.is_plain
-    known = ways(plan, world) if plain or doubt is None or (isinstance(doubt, Uncertain) and doubt.whole) else None
+    uncertainty, plain = world.uncertainty, plan.failure_model.is_plain
+    known = (
+        ways(plan, world)
+        if plain or uncertainty is None or (isinstance(uncertainty, Uncertain) and uncertainty.whole)
+        else None
+    )
     if known is None:
         return _of_each_alone(plan, world)
     sums: dict[str, NDArray[np.float64]] = {}
@@ -430,7 +438,7 @@ def _of_each_alone(plan: Plan, world: World) -> OpenLoopExact:
     """The values that hold for each robot alone; a consumed hazard couples robots. NaN elsewhere."""
     robots = [chances_along(robot, threat) for robot, threat in zip(plan.robots, alone(plan, world), strict=True)]
     found = exact_of(plan, robots, world.threat.size)
-    consumed = isinstance(world.doubt, Hazard) and world.doubt.kind == "consumed"
+    consumed = isinstance(world.uncertainty, Hazard) and world.uncertainty.kind == "consumed"
     of_each = ("stops_by_cell", "survival", "losses_curve")
     kept = () if consumed or world.movers is not None or not plan.failure_model.is_plain else of_each
     return OpenLoopExact(
@@ -523,7 +531,7 @@ def poisson_binomial(chances: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True, eq=False)
-class Worth:
+class CellValues:
     """Value and detection probability of the cells of a map, also of unreachable ones. Axis `N` = H * W cells.
 
     Attributes:
@@ -534,7 +542,7 @@ class Worth:
     detect: NDArray[np.float64]
 
     @classmethod
-    def of(cls, world: World) -> Worth:
+    def of(cls, world: World) -> CellValues:
         """The world's values and detection probabilities; the default is 1 for free cells, 0 for obstacles."""
         free = world.free
         value, detect = (layer if layer is not None else free.astype(float) for layer in (world.value, world.detect))
@@ -561,7 +569,7 @@ def open_loop_found(plan: Plan, world: World) -> NDArray[np.float64]:
 
     Source: docs/spec.md, section 13.
     """
-    detect = Worth.of(world).detect
+    detect = CellValues.of(world).detect
     total, missed = np.zeros(world.threat.size), np.ones(world.threat.size)
     for number, path in enumerate(plan.robots):
         robot = robot_chances(path, world, plan.failure_model, number)

@@ -274,10 +274,13 @@ def most_cells(world: World, starts: ArrayLike, flow: bool | None = None) -> flo
     For hazards only `ideal_team` holds, with p = q h: it counts first visits of the team, each of which destroys a
     robot with that probability for any past, as cells are independent. Later visits may use what survivors learned.
     """
-    if not isinstance(world.doubt, Hazard):
+    if not isinstance(world.uncertainty, Hazard):
         return any_strategy(world, starts, flow).cells
     checked = check_starts(starts, world.threat, world.source)
-    threat = world.doubt.q[world.accessible(checked)].astype(np.float64) * world.doubt.h[world.accessible(checked)]
+    threat = (
+        world.uncertainty.q[world.accessible(checked)].astype(np.float64)
+        * world.uncertainty.h[world.accessible(checked)]
+    )
     return ideal_team(np.sort(threat), len(checked))
 
 

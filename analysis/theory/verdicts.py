@@ -202,17 +202,17 @@ def exact_truth(plan: Plan, world: World, exact: OpenLoopExact, first_only: bool
     return ClosedTruth(Truth.known(exact.visited), Truth.known(exact.survived), left, stated, 0, alive, time)
 
 
-def sampled_truth(plan: Plan, world: World, tally: Tally, doubt: float) -> ClosedTruth:
-    """The closed loop's figures from a tally; each interval misses with probability <= `doubt`.
+def sampled_truth(plan: Plan, world: World, tally: Tally, alpha: float) -> ClosedTruth:
+    """The closed loop's figures from a tally; each interval misses with probability <= `alpha`.
 
     Means: the empirical Bernstein bound; the probability: Clopper & Pearson (`analysis.statistics.estimates`).
     """
     n = tally.rollouts
     stated = as_stated(plan, world, tally.outcomes / n, "sampled")
     alive = n - int(tally.alive[0])
-    low, high = chance_interval(alive, n, doubt)
+    low, high = chance_interval(alive, n, alpha)
     left = Truth(alive / n, low, high, "sampled")
-    return ClosedTruth(_mean(tally.visited, doubt), _mean(tally.survived, doubt), left, stated, n)
+    return ClosedTruth(_mean(tally.visited, alpha), _mean(tally.survived, alpha), left, stated, n)
 
 
 def error_of_each(figures: int) -> float:
@@ -220,8 +220,8 @@ def error_of_each(figures: int) -> float:
     return ALPHA / max(figures, 1)
 
 
-def _mean(counts: NDArray[np.int64], doubt: float) -> Truth:
-    low, high = mean_interval(counts, doubt)
+def _mean(counts: NDArray[np.int64], alpha: float) -> Truth:
+    low, high = mean_interval(counts, alpha)
     mean = float(counts @ np.arange(len(counts))) / float(counts.sum())
     return Truth(mean, min(low, mean), max(high, mean), "sampled")
 

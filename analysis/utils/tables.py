@@ -245,18 +245,18 @@ def failure_text(plan: Plan, world: World) -> str:
     if failure_model.is_plain:
         return ""
     if failure_model.is_even:
-        return f"{failure_model.said}: each robot has the p of its type; the map's own p applies to no type"
+        return f"{failure_model.description}: each robot has the p of its type; the map's own p applies to no type"
     chances = [failure_model.first_chance(worst, robot) for robot in range(len(plan.robots))]
     least, most = (chance(one) for one in (min(chances), max(chances)))
     fresh = least if least == most else f"{least} to {most}, by robot"
     return (
-        f"{failure_model.said}: p is a dose, to which a visit adds -ln(1 - p); the first visit of the worst cell, "
-        f"p = {chance(worst)}, destroys a fresh robot with {fresh}"
+        f"{failure_model.description}: p is a dose, to which a visit adds -ln(1 - p); the first visit of the worst "
+        f"cell, p = {chance(worst)}, destroys a fresh robot with {fresh}"
     )
 
 
 def without_level(said: str) -> str:
-    """The text of `Estimate.said` without "(95 %)", for a sentence in which % means coverage only."""
+    """The text of `Estimate.description` without "(95 %)", for a sentence in which % means coverage only."""
     return said.replace(" (95 %)", "").replace(", 95 %)", ")")
 
 

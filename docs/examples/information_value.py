@@ -215,7 +215,7 @@ def report(study: Study) -> Report:
         heading=[
             f"{counted(study.maps, 'map')} a point, {counted(study.rollouts, 'rollout')} a map, first seed {study.seed}"
         ],
-        took=[finished.said],
+        took=[finished.description],
         parts=(
             Part("Coverage", [ways_table(study)], drawn=lambda: [one for pair in charts.values() for one in pair]),
             Part("What lies between", [less_table(study), gains_table(study)], [NOTE]),

@@ -249,7 +249,7 @@ def report(study: Study) -> Report:
         heading=[
             f"{counted(maps, 'map')} a point, {counted(study.rollouts, 'rollout')} a map, first seed {study.seed}"
         ],
-        took=[finished.said],
+        took=[finished.description],
         parts=(
             Part("Gains", [gains_table(study)], drawn=lambda: gains),
             Part("Coverage against losses", [front_table(study, robots) for robots in FRONT_TEAMS],

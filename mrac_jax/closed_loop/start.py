@@ -35,7 +35,7 @@ def check_supported(loop: ClosedLoop) -> None:
     of_the_map = {
         "threats that change with time": len(t.phases) > 0,
         "robots that learn the map": loop.learns,
-        "an uncertain map": loop.in_doubt,
+        "an uncertain map": loop.is_uncertain,
         "moving threats": loop.movers is not None,
     }
     options = {

@@ -75,7 +75,9 @@ class AreaEnv:
     ) -> None:
         """`rule`: moves the robots and orders the offers. Raises InputError as `CoverageEnv`."""
         placed = starts_of(world, robots, starts)
-        (world.require_known_map if isinstance(world.doubt, Hazard) else world.require_certain_map)("the environment")
+        (world.require_known_map if isinstance(world.uncertainty, Hazard) else world.require_certain_map)(
+            "the environment"
+        )
         world.require_uniform("the environment")
         Numbers(0).check("robot_value", robot_value)
         whole(1, 1024).check("offers", offers)

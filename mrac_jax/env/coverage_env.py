@@ -175,7 +175,7 @@ class CoverageEnv:
         (`supported_settings`) that are not supported."""
         placed = starts_of(world, robots, starts)
         # Latent hazards are sampled once for each rollout; other uncertain maps are not supported.
-        self._hazards = world.draws if isinstance(world.doubt, Hazard) else None
+        self._hazards = world.draws if isinstance(world.uncertainty, Hazard) else None
         (world.require_certain_map if self._hazards is None else world.require_known_map)("the environment")
         world.require_uniform("the environment")
         supported_settings(world)

@@ -320,12 +320,12 @@ class HazardUpdates:
 
     def __init__(self, world: World, plan: Plan) -> None:
         """Raises WorldError for a combination that driven missions do not support."""
-        hazard = world.doubt if isinstance(world.doubt, Hazard) and world.doubt.learn else None
+        hazard = world.uncertainty if isinstance(world.uncertainty, Hazard) and world.uncertainty.learn else None
         self.phases = world.phases
         self.evidence = None if hazard is None else hazard.evidence
         if hazard is not None and hazard.detector is not None:
             problem, fix = (
-                f"a mission that is driven reads no detector; here: {hazard.said}",
+                f"a mission that is driven reads no detector; here: {hazard.description}",
                 "leave out `sensor_range`",
             )
             raise WorldError(problem, source=world.source, fix=f"{fix}, and report its readings by `seen`")
@@ -482,7 +482,7 @@ def read_rest(path: str | Path, world: World, plan: Plan) -> tuple[World, Plan, 
     state = parse_state(data, world, source, given)
     if state.over is not None:
         state = replace(state, over=_outcome(keys["over"], settings))
-    return world, make_plan(replace(world, doubt=None), state.starts, settings, state=state), keys
+    return world, make_plan(replace(world, uncertainty=None), state.starts, settings, state=state), keys
 
 
 def ended(path: str | Path, world: World, plan: Plan) -> Json | None:

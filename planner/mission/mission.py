@@ -83,7 +83,7 @@ class Mission:
         self._file: Path | None = None
         if self._lessons:
             # The plan uses the map as known at the start; `_lessons` adds what robots learn.
-            settings, world = plan.require(world), replace(world, doubt=None)
+            settings, world = plan.require(world), replace(world, uncertainty=None)
             plan = plan if plan.state is not None else make_plan(world, plan.starts, settings)
         self.world, self.patience, self.gain = world, patience, gain
         self.closed: list[int] = []
@@ -210,7 +210,7 @@ class Mission:
         state, settings = self._state_of(fleet), replace(self._settings_of(fleet), **changes)
         if settings.policy != self.settings.policy:  # paths of another rule do not apply: areas are allocated again
             state = replace(state, areas=(), robots=tuple(robot.at_rest for robot in state.robots))
-        return planned(replace(self.world, doubt=None), state.starts, settings, state=state)
+        return planned(replace(self.world, uncertainty=None), state.starts, settings, state=state)
 
     # --- orders out, reports in ---
 
@@ -303,7 +303,9 @@ class Mission:
         if len(changed) and held and fleet.step < self.last_step:
             world = seen_world(self.world, seen, self.given)
             state, got = learned_state(self.state, world, changed, self.settings)
-            self._go_on(world, allocated_plan(replace(world, doubt=None), state.starts, self.settings, state=state))
+            self._go_on(
+                world, allocated_plan(replace(world, uncertainty=None), state.starts, self.settings, state=state)
+            )
             # A map update is progress, as in a simulated run (SPEC section 15).
             known = known | self._fleet.problem.levels.accessible
             progress = bool(fleet.s.marks.progress) or got or bool(known[changed].any())
@@ -429,7 +431,7 @@ class Mission:
             plan = make_plan(world, self._plan.starts, self.settings)
         else:
             state = closed_state(self.state, world, self.settings.levels)
-            plan = make_plan(replace(world, doubt=None), state.starts, self.settings, state=state)
+            plan = make_plan(replace(world, uncertainty=None), state.starts, self.settings, state=state)
         self._go_on(world, plan)
         self._fleet.come_home()
         self.closed = sorted({*self.closed, *closed.tolist()})
@@ -498,7 +500,7 @@ class Mission:
         state = self.state.to_json() if self.step > 0 else None
         more: Json = {"seen": _pairs(self.seen), "sees": _pairs(self.sees)}
         more |= {"closed": self.closed, "range": self.settings.range, "aside": self._aside}
-        more |= {"reports": self.said(), "heard": self._reports.heard, "waits": self._waits}
+        more |= {"reports": self.as_json(), "heard": self._reports.heard, "waits": self._waits}
         more |= {"odds": self._lessons.to_json()}
         more |= {} if self.outcome is None else {"ended": self.known()}
         write_mission(path, self.world, state, more)
@@ -515,9 +517,9 @@ class Mission:
         """Cells observed in the current step, as in `seen`."""
         return dict(self._reports.seen)
 
-    def said(self) -> list[Json]:
+    def as_json(self) -> list[Json]:
         """The reports of the current step, as in files."""
-        return self._reports.said()
+        return self._reports.as_json()
 
     def _set_aside(self, robots: list[int]) -> None:
         """Mark robots without progress, as in another fleet."""

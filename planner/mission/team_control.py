@@ -616,7 +616,7 @@ class Reports:
         moves_left = before.moves_left if new.moves_left is None else new.moves_left
         return Report(new.cell, new.stopped, before.found, moves_left)
 
-    def said(self) -> list[Json]:
+    def as_json(self) -> list[Json]:
         """The reports as in files."""
         width, late = self.fleet.problem.world.shape[1], self.fleet.step
         passed = [{"robot": robot, "cell": list(divmod(cell, width)), "step": late} for robot, cell in self.passed]

@@ -106,8 +106,8 @@ def unknown_map_of(world: World, starts: NDArray[np.int64], most: int) -> Unknow
     if known is None:
         return None
     told = as_planned(world, starts).threat
-    if isinstance(world.doubt, Uncertain) and world.doubt.whole:
-        true = np.stack([world.doubt.threat_at(row).ravel() for row in range(world.doubt.count)])
+    if isinstance(world.uncertainty, Uncertain) and world.uncertainty.whole:
+        true = np.stack([world.uncertainty.threat_at(row).ravel() for row in range(world.uncertainty.count)])
     else:
         true = known.truth.reshape(1, -1)
     free = known.free | ~np.isnan(world.threat)
@@ -328,7 +328,7 @@ def prepare(
     if settings.paces or settings.radio is not None:
         world.require_known_map("a team of several speeds, or with radio,")
         if world.phases is not None:
-            said = f"several speeds, or radio, require threats that do not change; here: {world.phases.said}"
+            said = f"several speeds, or radio, require threats that do not change; here: {world.phases.description}"
             raise PlanError(said, source=world.source, fix="leave `phases` out")
     checked = check_starts(starts, world.met, world.source)
     settings.check_team(len(checked), world.source)
@@ -481,7 +481,7 @@ def check_every_visit(world: World, first_only: bool) -> None:
     Raises:
         WorldError: they are.
     """
-    if first_only and isinstance(world.doubt, Hazard):
+    if first_only and isinstance(world.uncertainty, Hazard):
         world.require_known_map(argument("threat_checks", "first_visit"))
 
 

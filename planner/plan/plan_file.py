@@ -257,7 +257,7 @@ def _leg(key: Key, entries: int, levels: list[int]) -> Leg:
     kind: Any = keys["kind"].choice(("travel", "cover"))
     area = keys["area"].number(whole(0, len(levels) - 1, "the id of an area"))
     # A leg repeats its area's level; a different one means that the file was edited by hand.
-    level = keys["level"].number(whole(levels[area], levels[area], said=f"{levels[area]}, that of area {area}"))
+    level = keys["level"].number(whole(levels[area], levels[area], text=f"{levels[area]}, that of area {area}"))
     start = keys["start"].number(whole(0, entries - 1, "a step of the path"))
     return Leg(kind, area, level, start, keys["stop"].number(whole(start + 1, entries, "a step after its start")))
 
@@ -266,8 +266,8 @@ def _area(key: Key, robots: int, levels: int, world: World) -> Area:
     """One area, with level, owner and cells in range; `levels`: the settings' number of levels."""
     keys = key.mapping(("level", "robot", "cells"), strict=False)
     said = f"0..{levels - 1} (the plan's setting levels is {levels})"
-    level = keys["level"].number(whole(0, levels - 1, said=said))
-    robot = keys["robot"].number(whole(NO_ROBOT, robots - 1, said=f"a robot 0..{robots - 1}, or {NO_ROBOT} for none"))
+    level = keys["level"].number(whole(0, levels - 1, text=said))
+    robot = keys["robot"].number(whole(NO_ROBOT, robots - 1, text=f"a robot 0..{robots - 1}, or {NO_ROBOT} for none"))
     cells = read_cells(keys["cells"], world)
     # An empty area would never be completed by a visit.
     if not len(cells):

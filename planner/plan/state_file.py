@@ -112,7 +112,7 @@ def parse_state(data: object, world: World, source: str, before: World | None = 
 def _state_file_robot(key: Key, to_do: Key, held: bool, world: World, before: World) -> RobotState:
     keys = key.mapping(("cell",), defaults=OF_ROBOTS, strict=False)
     status, cell = keys["status"].choice(STATUSES), read_cell(keys["cell"], world)
-    area = keys["area"].number(whole(NO_AREA, said=f"the id of an area, or {NO_AREA}"))
+    area = keys["area"].number(whole(NO_AREA, text=f"the id of an area, or {NO_AREA}"))
     ahead, moves = read_path(keys["ahead"], world), keys["moves"].number(whole(0, MAX_STEP))
     if status not in ON_ITS_WAY and (area != NO_AREA or len(ahead)):
         what = "both lost and moving" if status == "dead" else f"{status}, and has an area or a path"
@@ -132,7 +132,7 @@ def _area(key: Key, world: World) -> AreaState:
     key = Key(key.value, key.path, key.source, key.error, ANEW)
     keys = key.mapping(("level", "robot", "state", "cells"), strict=False)
     level = keys["level"].number(whole(0, what="the index of a level"))
-    robot = keys["robot"].number(whole(NO_ROBOT, said=f"a robot, or {NO_ROBOT}"))
+    robot = keys["robot"].number(whole(NO_ROBOT, text=f"a robot, or {NO_ROBOT}"))
     state, cells = keys["state"].choice(AREA_STATES), read_cells(keys["cells"], world)
     if not len(cells):
         raise keys["cells"].wrong("at least one cell")

@@ -104,7 +104,7 @@ def compile_closed_loop(
         purpose=purpose_of(world),
         failure_model=plan.failure_model,
         movers=world.movers,
-        doubt=world.doubt if learns and isinstance(world.doubt, Uncertain) else None,
+        uncertainty=world.uncertainty if learns and isinstance(world.uncertainty, Uncertain) else None,
         in_area=None if isinstance(settings.in_area, str) else _by_order(settings.in_area, cells),
     )
 
@@ -322,7 +322,7 @@ def nominal_loop(loop: ClosedLoop) -> ClosedLoop:
     policy = None if loop.policy is None else loop.policy._replace(view_begin=loop.policy.view_begin[:0])
     # Without online updates and moving threats the first state is unchanged, so it is shared.
     begin = replace if loop.learns or loop.movers is not None else ClosedLoop.again
-    return begin(loop, tables=safe, movers=None, doubt=None, policy=policy)
+    return begin(loop, tables=safe, movers=None, uncertainty=None, policy=policy)
 
 
 def with_nominal_run(plan: Plan, loop: ClosedLoop) -> Plan:

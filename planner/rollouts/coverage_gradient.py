@@ -90,7 +90,8 @@ def closed_loop_gradient(
     world.require_certain_map("the closed loop's gradient")
     if not plan.failure_model.is_plain:
         raise PlanError(
-            f"the closed loop's gradient requires one p for all visits of a cell; here: {plan.failure_model.said}",
+            f"the closed loop's gradient requires one p for all visits of a cell; here: "
+            f"{plan.failure_model.description}",
             fix="leave `weibull_shape`, `hazard_multiplier` and `types` out",
         )
     given = world.threat if p is None else np.asarray(p, dtype=np.float32)

@@ -453,7 +453,7 @@ def run_with_threshold_sums(engine: Engine, seed: int, start: int, count: int) -
         count: rollouts.
     """
     tally, results = engine.run(start, count)
-    return replace(tally, by_luck=sums_by_threshold(results, seed, tally.robots)), results
+    return replace(tally, by_threshold=sums_by_threshold(results, seed, tally.robots)), results
 
 
 def run_chunks(
@@ -464,7 +464,7 @@ def run_chunks(
     chunk: int | None = None,
     checkpoints: Iterable[int] = (),
     results: bool = False,
-    by_luck: int | None = None,
+    by_threshold: int | None = None,
 ) -> Iterator[Chunk]:
     """Roll out ids `start .. start + count - 1` by chunks. Memory is constant.
 
@@ -478,15 +478,15 @@ def run_chunks(
             it.
         checkpoints: numbers of rollouts (counted from `start`) at which a chunk has to end, for stopping rules.
         results: whether chunks hold the results of single rollouts.
-        by_luck: the seed, if the tally gets the sums by class of total threshold (`run_with_threshold_sums`).
+        by_threshold: the seed, if the tally gets the sums by class of total threshold (`run_with_threshold_sums`).
 
     Raises:
         UsageError: ids or a chunk out of range.
     """
 
     def work(first: int, size: int) -> tuple[Tally, RolloutResults | None]:
-        if by_luck is not None:
-            return run_with_threshold_sums(engine, by_luck, first, size)
+        if by_threshold is not None:
+            return run_with_threshold_sums(engine, by_threshold, first, size)
         return engine.run(first, size) if results else (engine.tally(first, size), None)
 
     check_range(start, count, chunk, 0)

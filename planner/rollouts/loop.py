@@ -35,7 +35,7 @@ FEATURES: dict[str, Callable[[Tables], bool]] = {
     "follows": lambda t: len(t.given) > 0,
     "walks": lambda t: len(t.entry) > 0,
     "searches": lambda t: len(t.entry) > 0 and not len(t.cost_to),
-    "doubtful": lambda t: len(t.own_counter) > 0,
+    "uncertain": lambda t: len(t.own_counter) > 0,
     "spends": lambda t: len(t.spent) > 0,
     "wears": lambda t: len(t.times) > 0,
     "moving": lambda t: len(t.movers) > 0,
@@ -107,7 +107,7 @@ class ClosedLoop:
         purpose: of the key under which an uncertain map is drawn (`planner.world.uncertain_maps.Draws`).
         state: of the mission that rollouts resume; None: they begin at t = 0.
         movers: moving threats, whose positions are kept for each rollout; None: there are none.
-        doubt: candidates of the true map, of which each rollout draws one; None: there is one true map.
+        uncertainty: candidates of the true map, of which each rollout draws one; None: there is one true map.
         in_area: a user's order of the cells of an area, `(here, cell, cost) -> anything that Python can compare`,
             with cells as indices in `cells`; None: the planner's. Not supported by compiled programs.
     """
@@ -126,7 +126,7 @@ class ClosedLoop:
     purpose: int = 0
     failure_model: FailureModel = PLAIN
     movers: MovingThreats | None = None
-    doubt: Uncertain | None = None
+    uncertainty: Uncertain | None = None
     in_area: Callable[[int, int, int], Any] | None = None
 
     @property
@@ -165,14 +165,14 @@ class ClosedLoop:
         return len(self.tables.cost_to) > 0
 
     @property
-    def in_doubt(self) -> bool:
+    def is_uncertain(self) -> bool:
         """True if the map is drawn in each rollout."""
         return len(self.tables.own_counter) > 0
 
     @property
     def keeps_apart(self) -> bool:
         """True if some state is kept for every rollout."""
-        return self.in_doubt or self.movers is not None or self.runs_alone
+        return self.is_uncertain or self.movers is not None or self.runs_alone
 
     def on_grid(self, values: NDArray[Any], other: Any = 0) -> NDArray[Any]:
         """Values of the accessible cells on the whole grid.
@@ -198,7 +198,7 @@ class ClosedLoop:
             first = first_state(self.tables, room, self.weights is not None)
             if self.state is not None:
                 write_mission_state(self.state, first, self.tables, self.cells)
-            levels = 1 if self.doubt is None else len(self.tables.truths)
+            levels = 1 if self.uncertainty is None else len(self.tables.truths)
             rows = (row[None] if levels == 1 else np.repeat(row[None], levels, axis=0) for row in first)
             self._first[room] = typed(State._make(rows))
             if self.learns:

@@ -141,7 +141,7 @@ def _in_rounds(
     rounds = max(1, -(-count // (workers * LARGEST_GROUP)))
     most = -(-count // (workers * rounds))
     # State kept by rollout cannot be joined with that of other threads.
-    if workers == 1 or most < LEAST_SHARED or loop.keeps_apart or loop.doubt is not None:
+    if workers == 1 or most < LEAST_SHARED or loop.keeps_apart or loop.uncertainty is not None:
         return None
     runners = [Runner(loop, seed, most, known) for _ in range(workers)]
     waiting = runners[0].make_levels((MOST_DEFERRED + 1) * workers)
@@ -230,10 +230,10 @@ def groups_of_one(ids: NDArray[np.uint32]) -> Tasks:
     return np.column_stack([np.zeros_like(begin), begin, begin + 1]), np.zeros(1, dtype=np.int64)
 
 
-def groups_by_map(ids: NDArray[np.uint32], doubt: Uncertain, seed: int) -> Tasks:
+def groups_by_map(ids: NDArray[np.uint32], uncertainty: Uncertain, seed: int) -> Tasks:
     """Sort the ids by their true map, in place; one group for each map, from the level of that index."""
     # Rollouts with different true maps are different runs from the first step on.
-    truth = rows_met(doubt, seed, ids)[:, 0]
+    truth = rows_met(uncertainty, seed, ids)[:, 0]
     order = np.argsort(truth, kind="stable")
     ids[:], found = ids[order], np.unique(truth, return_index=True)
     begin = np.searchsorted(truth[order], found[0])
@@ -304,7 +304,7 @@ class Runner:
         self.tables, policy = typed(with_features(_own_tables(loop))), loop.policy
         # `stamp` is scratch of the thread; all other arrays of a policy are shared.
         self.policy = None if policy is None else typed(policy._replace(stamp=policy.stamp.copy()))
-        own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
+        own = own_key(seed, loop.purpose) if loop.is_uncertain else (0, 0)
         moving = [own_key(seed, draw) for draw in (MOVE_DRAW, MEETING_DRAW, READING_DRAW)]
         keys = [np.uint32(half) for key in (threshold_key(seed), own, *moving) for half in key]
         options = loop.max_steps, loop.first_only, loop.stay_inside, 0
@@ -361,7 +361,7 @@ class Runner:
         for at in range(first, stop, most):
             ids = np.arange(at, min(at + most, stop), dtype=np.uint32)
             log.events[:1], self.work.begin[0] = 0, at
-            if self._loop.in_doubt:
+            if self._loop.is_uncertain:
                 self.work.left[: len(ids)] = self._loop.failure_model.tolerances(self._seed, ids, self._loop.robots)
             if self._loop.movers is not None:
                 self.work.at[: len(ids)] = self._loop.first_places(self._seed, ids)
@@ -372,8 +372,8 @@ class Runner:
 
     def _tasks(self, ids: NDArray[np.uint32]) -> Tasks:
         """The groups that these rollouts begin as."""
-        if self._loop.doubt is not None:
-            return groups_by_map(ids, self._loop.doubt, self._seed)
+        if self._loop.uncertainty is not None:
+            return groups_by_map(ids, self._loop.uncertainty, self._seed)
         return groups_of_one(ids) if self._loop.runs_alone else one_group(ids)
 
     def run_one(self, rollout: int, log: Log = NO_LOG) -> NDArray[np.int32]:

@@ -161,11 +161,11 @@ class SingleRun:
 
             self.t = self.t._replace(bound=np.ones_like(self.t.bound), loses=loses)
         self.ids = np.array([rollout], dtype=np.uint32)
-        if loop.in_doubt:
+        if loop.is_uncertain:
             self.w.left[:1] = loop.failure_model.tolerances(seed, self.ids, loop.robots)
         if loop.movers is not None:
             self.w.at[:1] = loop.first_places(seed, self.ids)
-        truth = 0 if loop.doubt is None else int(rows_met(loop.doubt, seed, rollout)[0])
+        truth = 0 if loop.uncertainty is None else int(rows_met(loop.uncertainty, seed, rollout)[0])
         # Cells and areas take 32 bits: there is always room for more areas.
         first = loop.first_state(max(first_room(loop.tables), MOST_NARROW + 1))
         self._take(State._make(row[truth : truth + 1].copy() for row in first))

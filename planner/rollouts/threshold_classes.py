@@ -75,7 +75,7 @@ def classes_by_threshold(seed: int, start: int, count: int, robots: int) -> NDAr
 
 
 def sums_by_threshold(results: RolloutResults, seed: int, robots: int) -> NDArray[np.int64]:
-    """Sums over rollouts by class, as in `Tally.by_luck`.
+    """Sums over rollouts by class, as in `Tally.by_threshold`.
 
     Args:
         results: of consecutive rollouts.

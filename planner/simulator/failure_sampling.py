@@ -252,7 +252,7 @@ def first_lost(t, s, c, w, how, ids, robot, cell, place):
         c.histories[2] += 1
         return last - lost_mass(t, s, robot, place, last - first)
     # The state of an uncertain cell differs from rollout to rollout: no limit serves the whole group.
-    if t.doubtful:
+    if t.uncertain:
         return split_uncertain(t, ids, w, how, first, last, robot, cell)
     s.robots[robot].borne += t.exposure[place]
     borne = fresh(t, robot, s.robots[robot].borne)

@@ -42,7 +42,7 @@ def only_mover(t, p, s, log):
 def survives_visit(t, s, how, robot, cell):
     """Whether the robot survives the dangerous cell in the whole group; then its hazard includes the visit."""
     # A cell visited but not survived may be survived for the first time: the general loop counts that.
-    if t.doubtful or how.first_only or s.home[cell] & (VISITED | SURVIVED) == VISITED:
+    if t.uncertain or how.first_only or s.home[cell] & (VISITED | SURVIVED) == VISITED:
         return False
     # The cumulative hazard decides: below the lowest threshold of the group no word is drawn.
     borne = s.robots[robot].borne + t.exposure[own(t, robot, cell)]

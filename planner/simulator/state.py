@@ -268,7 +268,7 @@ class Tables(NamedTuple):
     follows: bool | None = None
     walks: bool | None = None
     searches: bool | None = None
-    doubtful: bool | None = None
+    uncertain: bool | None = None
     spends: bool | None = None
     wears: bool | None = None
     moving: bool | None = None

@@ -57,7 +57,7 @@ def with_phases(world: World, phases: Sequence[tuple[Any, World | ArrayLike]], p
     if len(begins) == 1:
         return replace(world, threat=maps[0])
     found = Phases(np.array(begins, dtype=np.int64), np.stack(maps), plan_on)
-    return replace(world, threat=found.planned, doubt=found)
+    return replace(world, threat=found.planned, uncertainty=found)
 
 
 def read_phases(keys: dict[str, Key], world: World, ground: Ground) -> World:
@@ -89,13 +89,14 @@ def read_phases(keys: dict[str, Key], world: World, ground: Ground) -> World:
         return with_phases(replace(world, notes=tuple(notes)), pairs, plan_on)
 
 
-# Uncertain worlds: `threat` is the robots' map, and `doubt` is the source of draws (`planner.world.uncertain_maps`).
+# Uncertain worlds: `threat` is the robots' map, and `uncertainty` is the source of draws
+# (`planner.world.uncertain_maps`).
 
 FROM_SOURCES = "threats"
 """Instead of a number or a raster: the probabilities of the scenario's `threats`."""
 AMOUNT = {"lognormal": "sigma", "beta": "sample_size"}
 """Key for the width of each kind of spread."""
-PLANNED_QUANTILE = Numbers(0, 1, above=True, below=True, said="mean, or a number between 0 and 1")
+PLANNED_QUANTILE = Numbers(0, 1, above=True, below=True, text="mean, or a number between 0 and 1")
 PRIOR_LAST = "; a prior is given after the maps"
 
 
@@ -107,7 +108,7 @@ def with_hazard(world: World, kind: str, q: ArrayLike, h: ArrayLike = 1.0, learn
         raise WorldError(problem, source=world.source, expected="persistent or consumed ones", fix="leave `learn` out")
     hazard = make_hazard("persistent" if kind == "independent" else kind, q, h, world.free, world.source)
     hazard = replace(hazard, learn=bool(learn))
-    return replace(world, threat=_frozen(hazard.threat), doubt=None if kind == "independent" else hazard)
+    return replace(world, threat=_frozen(hazard.threat), uncertainty=None if kind == "independent" else hazard)
 
 
 def with_maps(world: World, maps: Sequence[ArrayLike] | NDArray, plan_on: float | None = None) -> World:
@@ -139,7 +140,7 @@ def with_spread(world: World, kind: str, amount: float, by: str = "common", plan
 
 def _uncertain_world(world: World, uncertain: Uncertain, plan_on: float | None) -> World:
     PLANNED_QUANTILE.check("plan_on", plan_on, WorldError, world.source, optional=True)
-    return replace(world, threat=_frozen(uncertain.plan_on(plan_on)), doubt=uncertain)
+    return replace(world, threat=_frozen(uncertain.plan_on(plan_on)), uncertainty=uncertain)
 
 
 def _frozen(threat: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -50,10 +50,10 @@ def with_prior(world: World, p: float, obstacles: Obstacles = "unknown", sense: 
 def with_sense(world: World, sense: Given) -> World:
     """`World.with_sensor_range`."""
     if world.learned_hazard is not None:
-        return replace(world, doubt=replace(world.learned_hazard, detector=make_detector(sense, world.source)))
-    if world.knowledge is None and not isinstance(world.doubt, Uncertain):
+        return replace(world, uncertainty=replace(world.learned_hazard, detector=make_detector(sense, world.source)))
+    if world.knowledge is None and not isinstance(world.uncertainty, Uncertain):
         problem = "the map is known: a sensor range has no effect"
-        hazard = "give `latent_hazard` the key `learn: true`" if isinstance(world.doubt, Hazard) else ""
+        hazard = "give `latent_hazard` the key `learn: true`" if isinstance(world.uncertainty, Hazard) else ""
         fix = hazard or "give a `true_map`, a `prior_map`, or `map_uncertainty`"
         raise WorldError(problem, source=world.source, fix=fix)
     return _knowing(world, world.threat, world.met, sense)
@@ -70,20 +70,20 @@ def seeing(world: World, far: float) -> World:
 
 
 def _check_plain(world: World) -> None:
-    for of in (world.doubt, world.knowledge):
+    for of in (world.uncertainty, world.knowledge):
         if of is not None:
-            raise WorldError(f"a true map together with another uncertainty: {of.said}", source=world.source)
+            raise WorldError(f"a true map together with another uncertainty: {of.description}", source=world.source)
 
 
 def _knowing(world: World, belief: NDArray[np.float32], truth: NDArray[np.float32], sense: Given) -> World:
-    if world.doubt is not None and not isinstance(world.doubt, Uncertain):
-        problem = f"map updates do not support this uncertainty: {world.doubt.said}"
+    if world.uncertainty is not None and not isinstance(world.uncertainty, Uncertain):
+        problem = f"map updates do not support this uncertainty: {world.uncertainty.description}"
         named = "phases" if world.phases is not None else "latent_hazard" if world.movers is None else "moving_threats"
         fix = f"leave out `{named}`, or `true_map`, `prior_map` and `sensor_range`"
         raise WorldError(problem, source=world.source, fix=fix)
     looks = make_sense(sense, world.source)
     # Sensors compare whole maps: with a quantile per level there would be one map for each combination.
-    if isinstance(world.doubt, Uncertain) and not world.doubt.whole and looks.range > 0:
+    if isinstance(world.uncertainty, Uncertain) and not world.uncertainty.whole and looks.range > 0:
         problem = "sensors need whole maps to choose from; this uncertainty draws one quantile for each level"
         raise WorldError(problem, source=world.source, fix="draw one for the whole map: `by: common`")
     belief.setflags(write=False)
@@ -158,7 +158,7 @@ def as_planned(world: World, starts: ArrayLike) -> World:
     if known is None:
         return world
     threat = world.threat
-    if world.doubt is None and known.sense.range > 0:
+    if world.uncertainty is None and known.sense.range > 0:
         placed = check_starts(starts, known.truth, world.source)
         cells = placed[:, 0] * world.shape[1] + placed[:, 1]
         seen = known.sense.views(known.free, np.unique(cells))[1]
@@ -166,7 +166,7 @@ def as_planned(world: World, starts: ArrayLike) -> World:
         # Only cells in range of the starts: a plan must not know more than its robots.
         threat.flat[seen] = known.truth.flat[seen]
         threat.setflags(write=False)
-    return replace(world, threat=threat, knowledge=None, doubt=None)
+    return replace(world, threat=threat, knowledge=None, uncertainty=None)
 
 
 # Moving threats: from movers, or from a scenario's key `moving_threats` (`planner.world.moving_threats`).
@@ -208,12 +208,12 @@ def with_movers(
     # Without free walkers both defaults give the same map.
     by_default = plan_on is None and not all(one.patrols for one in members)
     found = checked(MovingThreats(own, tuple(members), by_default), world.source)
-    return _planned_on(replace(world, doubt=found), found, chosen)
+    return _planned_on(replace(world, uncertainty=found), found, chosen)
 
 
 def _planned_on(world: World, movers: MovingThreats, plan_on: PlannedOn) -> World:
     told = [one for one in movers.members if plan_on == JOINED or (one.patrols and plan_on == PATROLS)]
-    return replace(world, threat=movers.joined(told, world.source), doubt=movers)
+    return replace(world, threat=movers.joined(told, world.source), uncertainty=movers)
 
 
 def as_before(world: World) -> World:

@@ -25,7 +25,7 @@ PAPER_LEVELS = (0.04, 0.08, 0.12, 0.16, 0.20)
 """The paper's threat levels."""
 LEAST_LEVEL = 1e-30
 """Smallest threat level: below it 32-bit numbers and path costs cannot distinguish a threat from safety."""
-LEVEL = Numbers(LEAST_LEVEL, PROBABILITY.most, below=True, said=f"probabilities {LEAST_LEVEL:g} <= p < 1")
+LEVEL = Numbers(LEAST_LEVEL, PROBABILITY.most, below=True, text=f"probabilities {LEAST_LEVEL:g} <= p < 1")
 WORLD_TAG = 0x574F524C
 """First counter word of the key derivation ("WORL" in ASCII)."""
 OBSTACLES, CONTIGUOUS, SCATTERED = 0, 1, 2

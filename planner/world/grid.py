@@ -305,7 +305,7 @@ class Grid:
         notes: effects of reading that a user should know.
         georeference: position of the frame on the Earth, or None.
         value, detect: float64 `[H, W]`, values and detection probabilities of pixels, or None.
-        doubt: uncertainty or movement of threats in a world file, or None.
+        uncertainty: uncertainty or movement of threats in a world file, or None.
         knowledge: the true map in a world file, or None.
         measured: whether the file gives the size of a pixel; else it is assumed.
         types: robot types in a world file, or None.
@@ -323,7 +323,7 @@ class Grid:
     georeference: Georeference | None = None
     value: NDArray[np.float64] | None = None
     detect: NDArray[np.float64] | None = None
-    doubt: Hazard | Uncertain | MovingThreats | Phases | None = None
+    uncertainty: Hazard | Uncertain | MovingThreats | Phases | None = None
     knowledge: Knowledge | None = None
     measured: bool = True
     swath: float | None = None

@@ -187,7 +187,7 @@ def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
     x, y, yaw = keys["origin"].numbers(COORDINATE, POSE, count=3)
     occupied = keys["occupied_thresh"].number(SHARE)
     below = f"a number from 0 to below occupied_thresh ({occupied:g})"
-    free = keys["free_thresh"].number(Numbers(0, occupied, below=True, said=below))
+    free = keys["free_thresh"].number(Numbers(0, occupied, below=True, text=below))
     negate = _flag(keys["negate"])
     picture = read_image(keys["image"].file("the map's image"))
     values, notes = _values(mode, picture, negate, occupied, free)
@@ -206,7 +206,7 @@ def read_datum(key: Key) -> Georeference:
         ScenarioError, MapError: of the key, for an invalid value.
     """
     keys = key.mapping(("latitude", "longitude"))
-    latitudes, longitudes = Numbers(-89, 89, "degrees"), Numbers(-TURN, TURN, said="degrees, -180 to 180")
+    latitudes, longitudes = Numbers(-89, 89, "degrees"), Numbers(-TURN, TURN, text="degrees, -180 to 180")
     given = [keys[name].value for name in ("latitude", "longitude")]
     if not latitudes.accepts(given[0]) and longitudes.accepts(given[0]) and latitudes.accepts(given[1]):
         raise keys["latitude"].wrong(

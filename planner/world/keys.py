@@ -327,7 +327,7 @@ class Quantity(NamedTuple):
     numbers: Numbers
 
 
-PROBABILITY = Numbers(0, 1 - 2**-25, below=True, said="a probability 0 <= p < 1")
+PROBABILITY = Numbers(0, 1 - 2**-25, below=True, text="a probability 0 <= p < 1")
 """Valid float64 numbers are also below 1 as float32."""
 CHANCE = Numbers(0, 1, "a chance")
 CELL_SIZE = Numbers(1e-5, 1e6, "a number of metres")
@@ -335,7 +335,7 @@ CELL_SIZE = Numbers(1e-5, 1e6, "a number of metres")
 FARTHEST = 1e9
 """Largest coordinate accepted, in metres: beyond it float64 cannot distinguish the smallest cells."""
 DISTANCE = Numbers(CELL_SIZE.least, FARTHEST, "a number of metres")
-COORDINATE = Numbers(-FARTHEST, FARTHEST, said=f"metres, none beyond {FARTHEST:g}")
+COORDINATE = Numbers(-FARTHEST, FARTHEST, text=f"metres, none beyond {FARTHEST:g}")
 POSE = f"three numbers [x, y, yaw], none beyond {FARTHEST:g}"
 SCALE = Numbers(1e-7, 1e4)
 """Units of a CRS per metre: a degree has 1e5 metres, a foot 0.3."""

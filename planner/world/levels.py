@@ -244,13 +244,16 @@ def require_single_uncertainty(
     Raises:
         WorldError: the world has another uncertainty, or robot types.
     """
-    doubt = None if over is not None and isinstance(world.doubt, over) else world.doubt
-    for other in (doubt, world.knowledge):
+    uncertainty = None if over is not None and isinstance(world.uncertainty, over) else world.uncertainty
+    for other in (uncertainty, world.knowledge):
         if other is not None:
-            problem, fix = f"`{what}` together with another uncertainty: {other.said}", "leave one of the two out"
+            problem, fix = (
+                f"`{what}` together with another uncertainty: {other.description}",
+                "leave one of the two out",
+            )
             raise WorldError(problem, source=world.source, expected="one known map", fix=fix + or_else)
     if world.types is not None:
-        problem, fix = f"`{what}` together with {world.types.said}", "leave one of the two out"
+        problem, fix = f"`{what}` together with {world.types.description}", "leave one of the two out"
         raise WorldError(problem, source=world.source, expected="one known map for all robots", fix=fix)
 
 

@@ -383,7 +383,7 @@ def world_grid(world: World) -> Grid:
     state = np.where(world.free, FREE, OCCUPIED).astype(np.uint8)
     return Grid(
         state, world.frame, world.source, threat=world.threat, starts=world.starts, notes=world.notes,
-        georeference=world.georeference, value=world.value, detect=world.detect, doubt=world.doubt,
+        georeference=world.georeference, value=world.value, detect=world.detect, uncertainty=world.uncertainty,
         knowledge=world.knowledge, measured=world.measured, types=world.types,
     )  # fmt: skip
 

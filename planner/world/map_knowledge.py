@@ -1,7 +1,7 @@
 """Unknown maps: the true map, the sensor range, and hazard estimates (SPEC section 15).
 
 A world's `threat` is the prior map, on which robots plan; its `knowledge` holds the true map. The true map may also be
-drawn for each rollout (`World.doubt`); then its obstacles are those of `Knowledge.truth`.
+drawn for each rollout (`World.uncertainty`); then its obstacles are those of `Knowledge.truth`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from planner.world.keys import CHANCE
 
 # Sensor range: cells within a distance and, with `sight`, not behind obstacles; in integers, exact.
 
-RANGE = Numbers(0, inf, said="0, or a number of cells from 1 on")
+RANGE = Numbers(0, inf, text="0, or a number of cells from 1 on")
 FARTHEST = 2**20
 """Cells; more than the size of the largest map."""
 MOST_SEEN = 2**26
@@ -47,7 +47,7 @@ class Sense:
         return int(min(self.range, FARTHEST) ** 2)
 
     @property
-    def said(self) -> str:
+    def description(self) -> str:
         """Description for messages."""
         if self.range == 0:
             return "robots see nothing"
@@ -68,7 +68,7 @@ class Sense:
             WorldError: too many cells in range.
         """
         if len(cells) * min(4 * self.square + 1, free.size) > MOST_SEEN:
-            problem = f"{len(cells)} cells from which {self.said.removeprefix('robots see ')} is seen"
+            problem = f"{len(cells)} cells from which {self.description.removeprefix('robots see ')} is seen"
             raise WorldError(
                 problem, expected=f"at most {MOST_SEEN} cells in range in all", fix="give a smaller sensor_range"
             )
@@ -131,9 +131,9 @@ class Knowledge:
         return bool((self.free == told).all())
 
     @property
-    def said(self) -> str:
+    def description(self) -> str:
         """Description for messages."""
-        return f"robots do not know the map; {self.sense.said}"
+        return f"robots do not know the map; {self.sense.description}"
 
     @property
     def sha256(self) -> str:
@@ -258,9 +258,9 @@ class Detector:
     false_alarm: float
 
     @property
-    def said(self) -> str:
+    def description(self) -> str:
         """Description for messages."""
-        far = self.sense.said.removeprefix("robots see ")
+        far = self.sense.description.removeprefix("robots see ")
         return f"a detector, {far}, that finds {self.detect:g} of them and gives {self.false_alarm:g} false alarms"
 
     @property

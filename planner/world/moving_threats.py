@@ -67,7 +67,7 @@ class MovingThreats:
     by_default: bool = False
 
     @property
-    def said(self) -> str:
+    def description(self) -> str:
         """Description for messages."""
         kinds = {"walks": "walk", "patrols": "patrol"}
         counts = (sum(one.patrols == of for one in self.members) for of in (False, True))
@@ -259,7 +259,7 @@ class Phases:
     plan_on: Foresight = "now"
 
     @property
-    def said(self) -> str:
+    def description(self) -> str:
         """Description for messages."""
         steps = ", ".join(map(str, self.begins[1:5].tolist())) + ", ..." * (len(self.begins) > 5)
         return f"threats that change at step {steps}; {SAID[self.plan_on]}"

@@ -109,7 +109,7 @@ class Unit(NamedTuple):
     size: float
 
 
-class Said(NamedTuple):
+class Metadata(NamedTuple):
     """Metadata on a file's numbers: value = scale * number + offset, in `unit`.
 
     Attributes:
@@ -140,7 +140,7 @@ def plain(unit: str) -> str:
     return re.sub(r" (above|asl|a s l|amsl|msl|over)( .*)?$", "", re.sub(r"\bu s\b", "us", words))
 
 
-def physical(raw: NDArray, known: NDArray[np.bool_], said: Said, of: Meaning, source: str) -> Physical:
+def physical(raw: NDArray, known: NDArray[np.bool_], said: Metadata, of: Meaning, source: str) -> Physical:
     """Physical values of a file's numbers: probabilities 0..1, metres, amounts.
 
     Numbers that look like no data, but are not declared as such, become NaN too (`Physical.voids`).
@@ -172,7 +172,7 @@ def physical(raw: NDArray, known: NDArray[np.bool_], said: Said, of: Meaning, so
     return Physical(np.where(known & ~void, values, np.nan), notes, _describe(numbers[void], of, source))
 
 
-def _factor(said: Said, of: Meaning, source: str) -> tuple[float, tuple[str, ...]]:
+def _factor(said: Metadata, of: Meaning, source: str) -> tuple[float, tuple[str, ...]]:
     """The factor of the values, and notes."""
     name, vertical = plain(said.unit), said.vertical
     own = None if vertical is None else plain(vertical.name)
@@ -201,7 +201,7 @@ def _unit_note(unit: str, size: float) -> tuple[str, ...]:
     return (f"its heights are in {unit}, {size:.7g} m each" if size > 0 else f"its values are depths, in {unit}",)
 
 
-def _voids(raw: NDArray, stages: tuple[NDArray[np.float64], ...], said: Said, of: Meaning) -> NDArray[np.bool_]:
+def _voids(raw: NDArray, stages: tuple[NDArray[np.float64], ...], said: Metadata, of: Meaning) -> NDArray[np.bool_]:
     """bool `[H, W]`: no-data numbers. `stages`: the file's numbers, scaled, and in the unit of `of`."""
     numbers, scaled, values = stages
     void = (np.abs(numbers) >= HUGE) & np.isfinite(numbers)
@@ -452,7 +452,7 @@ def read_band(path: Path, of: Meaning) -> Band:
             problem = f"{data.count} bands of {data.dtypes[0]}"
             raise MapError(problem, source=path, expected="one band of real numbers")
         crs, vertical = _split(data.crs or data.gcps[1] or _crs_beside(path, data, rasterio), path, rasterio)
-        said = _said(data, vertical, of, path)
+        said = _metadata(data, vertical, of, path)
         numbers = data.read(1, masked=True)
         bounds, points, notes = _place(data, crs, path)
         if not data.transform.is_identity and data.transform.e > 0:  # stored south-up
@@ -465,7 +465,7 @@ def read_band(path: Path, of: Meaning) -> Band:
     return Band(values, bounds, crs, points, (*notes, *more), voids)
 
 
-def _said(data: Any, vertical: Unit | None, of: Meaning, path: Path) -> Said:
+def _metadata(data: Any, vertical: Unit | None, of: Meaning, path: Path) -> Metadata:
     """Metadata on the file's numbers. Raises MapError if band and metadata contradict each other."""
     tags = {name.casefold(): text for name, text in {**data.tags(), **data.tags(1)}.items()}
     own = {"scale": data.scales[0], "offset": data.offsets[0]}
@@ -478,7 +478,7 @@ def _said(data: Any, vertical: Unit | None, of: Meaning, path: Path) -> Said:
     fill = tuple(_number(tags[tag], math.nan) for tag in FILL_TAGS if tag in tags)
     unit = _unit(data, tags, of, path)
     declared = "all_valid" not in [flag.name for flag in data.mask_flag_enums[0]]
-    return Said(own["scale"], own["offset"], unit, vertical, fill, declared)
+    return Metadata(own["scale"], own["offset"], unit, vertical, fill, declared)
 
 
 def _unit(data: Any, tags: dict[str, str], of: Meaning, path: Path) -> str:

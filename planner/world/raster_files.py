@@ -36,7 +36,7 @@ from planner.world.raster_bands import (
     Band,
     How,
     Meaning,
-    Said,
+    Metadata,
     edges_in,
     lay_over,
     physical,
@@ -117,7 +117,7 @@ def read_raster(
     values, said = (read_npy(path, MAX_CELLS), ()) if suffix == ".npy" else read_csv_grid(path, MAX_CELLS)
     if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "fiub":
         raise MapError(f"holds {values.dtype} {values.shape}", source=path, expected="numbers [H, W]")
-    found = physical(values, np.ones(values.shape, dtype=bool), Said(), of, str(path))
+    found = physical(values, np.ones(values.shape, dtype=bool), Metadata(), of, str(path))
     return Raster(found.values, None, None, str(path), (*said, *filter(None, [found.voids])), voids=found.voids)
 
 

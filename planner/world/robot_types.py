@@ -39,7 +39,7 @@ class RobotTypes:
         return digest.hexdigest()
 
     @property
-    def said(self) -> str:
+    def description(self) -> str:
         """Description for messages."""
         return f"robots of the types {', '.join(self.names)}"
 

@@ -392,7 +392,7 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
     )  # fmt: skip
     world = replace(world, sources=apart, measured=ground.grid.measured)
     # Order: uncertainty before the unknown map, since sensors may choose among its candidates.
-    world = _in_doubt(replace(world, pace=pace_in(keys, world)), ground, keys)
+    world = _with_uncertainty(replace(world, pace=pace_in(keys, world)), ground, keys)
     if "weibull_shape" in keys and isinstance(keys["weibull_shape"].value, dict):  # 0.3's `wear: {shape: 2}`
         keys["weibull_shape"] = keys["weibull_shape"].mapping(("shape",))["shape"]
     asked = _settings(SETTINGS, keys)
@@ -403,15 +403,15 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
     return _with_robots(world, keys["robots"], own) if "robots" in keys else world.with_starts(own)
 
 
-def _in_doubt(world: World, ground: Ground, keys: dict[str, Key]) -> World:
+def _with_uncertainty(world: World, ground: Ground, keys: dict[str, Key]) -> World:
     """The world with the uncertainty or change of threats in the scenario, or in its map's world file."""
     named = [name for name in IN_DOUBT if name in keys]
     # Draws of a world file belong to exactly its threats: any other threat would contradict them.
-    if ground.grid.doubt is not None:
+    if ground.grid.uncertainty is not None:
         if named or keys["threats"].value or ground.grid.threat is None or not _same(world.threat, ground.grid.threat):
             problem = "has latent hazards, uncertain maps, moving threats or phases: nothing can be added to them"
             raise MapError(problem, source=ground.grid.source, fix="use the world file without a scenario")
-        return replace(world, doubt=ground.grid.doubt)
+        return replace(world, uncertainty=ground.grid.uncertainty)
     if "plan_on" in keys and not {"moving_threats", "phases"} & keys.keys():
         raise keys["plan_on"].wrong(
             "none without moving_threats or phases", "of uncertain maps it is a key of `map_uncertainty`"
@@ -509,7 +509,7 @@ PLACED = ("count", "start", "starts", "starts_xy")
 """Keys of `robots` for number and starts."""
 
 
-def said(team: dict[str, Any], settings: Settings, pace: Pace) -> dict[str, Any]:
+def team_keys(team: dict[str, Any], settings: Settings, pace: Pace) -> dict[str, Any]:
     """Keys of a scenario for a team.
 
     Args:
@@ -555,7 +555,7 @@ def write_scenario(
     robots = with_new_names(keys.pop("robots", {}), OF_ROBOTS, source)
     team = {name: key for name, key in robots.items() if name not in (*PLACED, *OF_ROBOTS, "speed")}
     keys = {name: key for name, key in keys.items() if name not in (*SETTINGS, *TIME_KEYS)}
-    keys |= said({"starts": starts.tolist()} | team, settings, pace)
+    keys |= team_keys({"starts": starts.tolist()} | team, settings, pace)
     with atomic_write(out) as stream:
         yaml.safe_dump(keys, stream, sort_keys=False, default_flow_style=None, width=120)
 

@@ -90,7 +90,7 @@ class Hazard:
     detector: Detector | None = None
 
     @property
-    def said(self) -> str:
+    def description(self) -> str:
         """Description for messages."""
         removed = ", removed by the first loss" if self.kind == "consumed" else ""
         return f"{self.kind} hazards: each exists or not for a whole run{removed}{self.learning}"
@@ -98,7 +98,7 @@ class Hazard:
     @property
     def learning(self) -> str:
         """Description of the estimates; "" without."""
-        has = "" if self.detector is None else f", and have {self.detector.said}"
+        has = "" if self.detector is None else f", and have {self.detector.description}"
         return f"; robots estimate them{has}" if self.learn else ""
 
     @property
@@ -149,13 +149,13 @@ class Uncertain:
     Attributes:
         chances: float32 `[M, C]`, p. column: int32 `[H, W]`, of each cell; NO_COLUMN on obstacles.
         number: int32 `[H, W]`, which of the rollout's numbers selects the row for the cell: 0, or its level + 1.
-        said: description for messages.
+        description: for messages.
     """
 
     chances: NDArray[np.float32]
     column: NDArray[np.int32]
     number: NDArray[np.int32]
-    said: str
+    description: str
 
     @property
     def count(self) -> int:
@@ -198,7 +198,9 @@ class Uncertain:
     def arrays(self) -> dict[str, NDArray]:
         """Arrays of the world file, by name."""
         names = ("chances", "column", "number")
-        return {f"uncertain_{name}": getattr(self, name) for name in names} | {"uncertain_said": np.array(self.said)}
+        return {f"uncertain_{name}": getattr(self, name) for name in names} | {
+            "uncertain_said": np.array(self.description)
+        }
 
 
 NO_COLUMN = -1
@@ -242,7 +244,9 @@ def _chances(name: str, value: ArrayLike, free: NDArray[np.bool_], source: str) 
     return chances
 
 
-def doubt_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source: str) -> Hazard | Uncertain | None:
+def uncertainty_in(
+    arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source: str
+) -> Hazard | Uncertain | None:
     """The uncertainty in the arrays of a world file, or None.
 
     Args:
@@ -278,17 +282,17 @@ def doubt_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source:
     )
 
 
-def maps_of(maps: NDArray[np.float32], said: str) -> Uncertain:
+def maps_of(maps: NDArray[np.float32], description: str) -> Uncertain:
     """Equally likely maps of the same cells.
 
     Args:
         maps: float32 `[M, H, W]`, all with the obstacles of the first.
-        said: description for messages.
+        description: for messages.
     """
     free = ~np.isnan(maps[0])
     column = np.full(free.shape, NO_COLUMN, dtype=np.int32)
     column[free] = np.arange(int(free.sum()))
-    return Uncertain(np.ascontiguousarray(maps[:, free]), column, np.zeros(free.shape, dtype=np.int32), said)
+    return Uncertain(np.ascontiguousarray(maps[:, free]), column, np.zeros(free.shape, dtype=np.int32), description)
 
 
 def spread_of(
@@ -325,10 +329,10 @@ def spread_of(
     column[free] = places
     number = np.where(free, levels + 1, 0) if by == "level" else np.zeros(free.shape)
     cut = int(np.isin(column, np.flatnonzero((chances > LARGEST).any(axis=0))).sum())
-    said = f"{QUANTILES} equally likely values of a {kind} spread of {amount:g}, {by}"
+    description = f"{QUANTILES} equally likely values of a {kind} spread of {amount:g}, {by}"
     # p = 1 is not representable: the largest float32 below it takes its place.
     table = np.minimum(chances, LARGEST).astype(np.float32)
-    return Uncertain(table, column, number.astype(np.int32), said), cut
+    return Uncertain(table, column, number.astype(np.int32), description), cut
 
 
 def _lognormal(p: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:

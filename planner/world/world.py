@@ -25,7 +25,7 @@ from planner.world.keys import CELL_SIZE, COORDINATE, DETECT, POSE, SCALE, VALUE
 from planner.world.map_knowledge import Knowledge, knowledge_in
 from planner.world.moving_threats import MovingThreats, Phases, moving_threats_in, phases_in
 from planner.world.robot_types import RobotTypes, Sources, types_in
-from planner.world.uncertain_maps import Draws, Hazard, Uncertain, doubt_in
+from planner.world.uncertain_maps import Draws, Hazard, Uncertain, uncertainty_in
 
 MAX_CELLS = 2**26
 """Largest grid accepted, in cells; a file header that claims more is rejected before memory is allocated."""
@@ -65,7 +65,7 @@ class World:
         georeference: position of the map's frame on the Earth, or None if not given.
         value: float64 `[H, W]`, value of each cell (0 on obstacles), or None: 1 each.
         detect: float64 `[H, W]`, probability that a survived visit detects what is in the cell, or None: 1 each.
-        doubt: latent hazards, candidates of the true map, moving threats, or phases; robots plan on `threat`, and
+        uncertainty: latent hazards, candidates of the true map, moving threats, or phases; robots plan on `threat`, and
             losses are drawn from these. None: every visit is an independent draw from `threat`.
         sources: the threats that `threat` was combined from, if a scenario names polygons, points or sites.
         knowledge: the true map, if it differs from the prior map `threat`. None: the map is known.
@@ -83,7 +83,7 @@ class World:
     georeference: Georeference | None = None
     value: NDArray[np.float64] | None = None
     detect: NDArray[np.float64] | None = None
-    doubt: Hazard | Uncertain | MovingThreats | Phases | None = None
+    uncertainty: Hazard | Uncertain | MovingThreats | Phases | None = None
     sources: Sources | None = None
     knowledge: Knowledge | None = None
     measured: bool = True
@@ -164,12 +164,12 @@ class World:
     @property
     def movers(self) -> MovingThreats | None:
         """Moving threats, or None."""
-        return self.doubt if isinstance(self.doubt, MovingThreats) else None
+        return self.uncertainty if isinstance(self.uncertainty, MovingThreats) else None
 
     @property
     def phases(self) -> Phases | None:
         """Threats that change by phases, or None."""
-        return self.doubt if isinstance(self.doubt, Phases) else None
+        return self.uncertainty if isinstance(self.uncertainty, Phases) else None
 
     @property
     def by_phase(self) -> NDArray[np.float32]:
@@ -189,16 +189,16 @@ class World:
     @cached_property
     def draws(self) -> Draws | None:
         """Draws of an uncertain map, or None if every visit is an independent draw from `threat`."""
-        return None if self.doubt is None else self.doubt.draws()
+        return None if self.uncertainty is None else self.uncertainty.draws()
 
     @cached_property
     def exposures(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """(hazards, table): hazard of a visit to each cell, int64 `[N]` or by phase `[P N]`, the largest one if maps
         differ; and the table of all, int64 `[M, C]` (`Draws`).
         """
-        if self.doubt is None or isinstance(self.doubt, MovingThreats | Phases):
+        if self.uncertainty is None or isinstance(self.uncertainty, MovingThreats | Phases):
             return exposure_of(self.by_phase).ravel(), np.zeros((0, 0), dtype=np.int64)
-        return self.doubt.exposures()
+        return self.uncertainty.exposures()
 
     @property
     def randomness_sha256(self) -> str:
@@ -206,7 +206,7 @@ class World:
         of = self.draws or self.movers or self.phases
         drawn = "" if of is None else f"?{of.sha256}"
         # Estimates change decisions, so they are part of the identity.
-        drawn += self.doubt.taught if isinstance(self.doubt, Hazard) else ""
+        drawn += self.uncertainty.taught if isinstance(self.uncertainty, Hazard) else ""
         drawn += "" if self.types is None else f"&{self.types.sha256}"
         return self.sha256 + drawn + ("" if self.knowledge is None else f"!{self.knowledge.sha256}")
 
@@ -236,7 +236,7 @@ class World:
         if self.types is None:
             problem = f"{argument('types')} for a world without robot types"
             raise PlanError(problem, source=self.source, fix="give the scenario `robots: {matrix: ...}`")
-        if self.doubt is not None or self.knowledge is not None:
+        if self.uncertainty is not None or self.knowledge is not None:
             problem = "robot types require one known map"
             raise WorldError(problem, source=self.source, fix=f"leave {argument('types')} out")
         # One name stands for the whole team.
@@ -252,7 +252,7 @@ class World:
     @property
     def learned_hazard(self) -> Hazard | None:
         """The latent hazard that robots estimate, or None."""
-        return self.doubt if isinstance(self.doubt, Hazard) and self.doubt.learn else None
+        return self.uncertainty if isinstance(self.uncertainty, Hazard) and self.uncertainty.learn else None
 
     @property
     def is_learned(self) -> bool:
@@ -270,28 +270,28 @@ class World:
         Raises:
             WorldError: it is not.
         """
-        if self.doubt is not None:
+        if self.uncertainty is not None:
             # The message names the scenario key to leave out, which depends on the kind of uncertainty.
-            problem = f"{what} requires one known map; here: {self.doubt.said}"
-            named = {MovingThreats: "`moving_threats`", Phases: "`phases`"}.get(type(self.doubt))
+            problem = f"{what} requires one known map; here: {self.uncertainty.description}"
+            named = {MovingThreats: "`moving_threats`", Phases: "`phases`"}.get(type(self.uncertainty))
             fix = f"leave {named or '`latent_hazard` and `map_uncertainty`'} out{or_else}"
             raise WorldError(problem, source=self.source, fix=fix)
         self.require_known_map(what, or_else)
         if self.types is not None:
-            problem = f"{what} requires the same p for every robot; here: {self.types.said}"
+            problem = f"{what} requires the same p for every robot; here: {self.types.description}"
             raise WorldError(problem, source=self.source, fix="leave `matrix` and `types` out" + or_else)
 
     def require_known_map(self, what: str, or_else: str = "") -> None:
         """Check that the map is known: robots neither update nor estimate it. Args and errors as in
         `require_certain_map`."""
         if self.learned_hazard is not None:
-            problem = f"{what} does not support hazard estimates; here: {self.learned_hazard.said}"
+            problem = f"{what} does not support hazard estimates; here: {self.learned_hazard.description}"
             raise WorldError(problem, source=self.source, fix="leave `learn` out" + or_else)
         if self.phases is not None and self.phases.told:
-            problem = f"{what} requires threats known in advance; here: {self.phases.said}"
+            problem = f"{what} requires threats known in advance; here: {self.phases.description}"
             raise WorldError(problem, source=self.source, fix="use `plan_on: first` or `worst`" + or_else)
         if self.knowledge is not None:
-            problem = f"{what} requires a known map; here: {self.knowledge.said}"
+            problem = f"{what} requires a known map; here: {self.knowledge.description}"
             raise WorldError(
                 problem, source=self.source, fix="leave `true_map`, `prior_map` and `sensor_range` out" + or_else
             )
@@ -504,10 +504,10 @@ class World:
             ("step", f"{self.pace.seconds:g} s" if self.pace.seconds else ""),
             (
                 "movers" if self.movers else "phases" if self.phases else "doubt",
-                "" if self.doubt is None else self.doubt.said,
+                "" if self.uncertainty is None else self.uncertainty.description,
             ),
             ("types", "" if self.types is None else ", ".join(self.types.names)),
-            ("knowledge", "" if self.knowledge is None else self.knowledge.said),
+            ("knowledge", "" if self.knowledge is None else self.knowledge.description),
             ("robots", team if self.starts is None else f"{len(self.starts)}, starts {self.starts[:8].tolist()}"),
             *(("note", note) for note in self.notes[:4]),
         ]
@@ -534,13 +534,13 @@ class World:
         starts = {} if self.starts is None else {"starts": self.starts}
         origin = np.array(self.origin, dtype=np.float64)
         place = {} if self.georeference is None else {f"crs{end}": np.array(v) for end, v in _place(self.georeference)}
-        doubt = {} if self.doubt is None else self.doubt.arrays()
-        doubt |= {} if self.knowledge is None else self.knowledge.arrays()
+        uncertainty = {} if self.uncertainty is None else self.uncertainty.arrays()
+        uncertainty |= {} if self.knowledge is None else self.knowledge.arrays()
         if self.types is not None:
-            doubt |= replace(self.types, team=self.team.settings.get("types") or self.types.team).arrays()
+            uncertainty |= replace(self.types, team=self.team.settings.get("types") or self.types.team).arrays()
         layers = {of.name: layer for of in (VALUE, DETECT) if (layer := getattr(self, of.name)) is not None}
         threat = {"threat": self.threat, "cell_size": np.float64(self.cell_size), "origin": origin}
-        return threat | starts | place | doubt | layers
+        return threat | starts | place | uncertainty | layers
 
 
 def check_starts(starts: ArrayLike, threat: NDArray[np.float32], source: str) -> NDArray[np.int64]:
@@ -592,11 +592,11 @@ def _reals(name: str, value: ArrayLike, count: int, of: Numbers, expected: str, 
         given = np.empty(0)
     found = [float(n) for n in given.reshape(-1)] if given.dtype.kind in "fiu" and given.size == count else []
     if not found or not all(map(of.accepts, found)):
-        raise WorldError(f"{name} is {_shown(value)}", source=source, expected=expected)
+        raise WorldError(f"{name} is {_as_text(value)}", source=source, expected=expected)
     return found
 
 
-def _shown(value: ArrayLike) -> str:
+def _as_text(value: ArrayLike) -> str:
     return reprlib.repr(value.tolist() if isinstance(value, np.ndarray | np.generic) and value.size < 10 else value)
 
 
@@ -678,8 +678,8 @@ def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
     if "starts" in arrays:
         world = replace(world, starts=check_starts(arrays["starts"], world.met, source))
     changing = moving_threats_in(arrays, world.met, source) or phases_in(arrays, world.met, source)
-    doubt, types = changing or doubt_in(arrays, world.met, source), types_in(arrays, world.free, source)
-    world = replace(world, doubt=doubt, measured="cell_size" in arrays, types=types)
+    uncertainty, types = changing or uncertainty_in(arrays, world.met, source), types_in(arrays, world.free, source)
+    world = replace(world, uncertainty=uncertainty, measured="cell_size" in arrays, types=types)
     return world.with_values(arrays.get("value"), arrays.get("detect"))
 
 
@@ -691,7 +691,7 @@ def _place(georeference: Georeference) -> tuple[tuple[str, Any], ...]:
 def _georeference(arrays: Mapping[str, NDArray], source: str) -> Georeference:
     crs = arrays["crs"]
     if crs.dtype.kind != "U" or crs.size != 1 or not 0 < len(str(crs.item())) <= LONGEST:
-        raise WorldError(f"crs is {_shown(crs)[:60]}", source=source, expected="the text of a CRS, as 'EPSG:32633'")
+        raise WorldError(f"crs is {_as_text(crs)[:60]}", source=source, expected="the text of a CRS, as 'EPSG:32633'")
     pairs = []
     for name, default, of in (("crs_origin", (0.0, 0.0), COORDINATE), ("crs_scale", (1.0, 1.0), SCALE)):
         x, y = _reals(name, arrays.get(name, default), 2, of, "two numbers, x and y", source)

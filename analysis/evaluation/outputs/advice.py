@@ -171,7 +171,7 @@ class Advice(Output):
             return
         advised, how, more = self.advised, _as_asked(self.advised.setting), self.more()
         if not self.saves(advised):
-            gain = without_level(self.difference.said(100, " points")).removesuffix(" (exact)")
+            gain = without_level(self.difference.describe(100, " points")).removesuffix(" (exact)")
             yield f"To cover {_covered(advised.coverage)} ({gain} more) without losing more robots: {how}."
             return
         said = f"To cover {_covered(advised.coverage)} and lose {self._lost(advised.losses)}: {how}"

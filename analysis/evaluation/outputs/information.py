@@ -1,4 +1,4 @@
-"""The value of map information: the same team with a known map, online with a sensor, and without a sensor.
+"""The value of map information: the same team with a known map, learning with a sensor, and without a sensor.
 
 The teams share their random numbers and differ only in the sensor. A known map is a sensor with unlimited range
 (SPEC section 15).
@@ -73,14 +73,14 @@ class Team:
     def as_json(self) -> Json:
         """The JSON object of the figures."""
         figures = {"coverage": self.coverage, "losses": self.found.mean("lost"), "time": self.found.mean("time")}
-        return {"range": _shown(self.range)} | {name: value.to_json() for name, value in figures.items()}
+        return {"range": _as_json(self.range)} | {name: value.to_json() for name, value in figures.items()}
 
 
 def _sees(far: float) -> str:
     return "no sensor" if far == 0 else f"sensor range {'unlimited' if isinf(far) else f'{far:g}'}"
 
 
-def _shown(far: float) -> float | str:
+def _as_json(far: float) -> float | str:
     return "inf" if isinf(far) else far
 
 
@@ -101,7 +101,11 @@ class Knowledge(Output):
     def check(cls, asked: Sequence[float], world: World) -> None:
         if world.knowledge is None:
             with_sense(world, 0)  # raises the more specific error
-            fix = "give a `true_map` or a `prior_map`" if world.doubt is None else "give the scenario `sensor_range: 0`"
+            fix = (
+                "give a `true_map` or a `prior_map`"
+                if world.uncertainty is None
+                else "give the scenario `sensor_range: 0`"
+            )
             raise UsageError(
                 argument("sensor_range", ",".join(map(str, asked))), expected="a map that robots learn", fix=fix
             )
@@ -114,12 +118,12 @@ class Knowledge(Output):
         if (
             known is None
             or run.choices.loop == "open"
-            or (isinstance(world.doubt, Uncertain) and not world.doubt.whole)
+            or (isinstance(world.uncertainty, Uncertain) and not world.uncertainty.whole)
         ):
             return
-        blind = {0.0} if known.safe_without_sensor(world.free) else set()
-        drawn = world.doubt is not None  # even with an unlimited range robots plan before they see
-        ranges = sorted({*map(float, asked), *blind, known.sense.range, *([] if drawn else [inf])})
+        no_sensor = {0.0} if known.safe_without_sensor(world.free) else set()
+        drawn = world.uncertainty is not None  # even with an unlimited range robots plan before they see
+        ranges = sorted({*map(float, asked), *no_sensor, known.sense.range, *([] if drawn else [inf])})
         done = run.last.tally.rollouts
         count = max(min(done, LEAST), done // len(ranges))
         choices = replace(run.choices, rollouts=count, precision=None, seconds=None, deadline=None)
@@ -131,14 +135,14 @@ class Knowledge(Output):
             trials.append(with_eyes(world, run.plan, far, choices))
         if drawn:
             run.doing("the same team, known map")
-            told, kept = sample_with_known_maps(world, run.plan, choices, count)
-            found: Sequence[Measured] = [*(only(trial.sample(0, count), kept) for trial in trials), told]
+            known_map, kept = sample_with_known_maps(world, run.plan, choices, count)
+            found: Sequence[Measured] = [*(only(trial.sample(0, count), kept) for trial in trials), known_map]
         else:
             found = alike(trials, 0, count)
         yield cls(known.sense, tuple(map(Team, [*ranges, inf], found)), _believed(world, run.plan))
 
     @property
-    def told(self) -> Team:
+    def known_map(self) -> Team:
         """The team with a known map."""
         return self.teams[-1]
 
@@ -148,14 +152,14 @@ class Knowledge(Output):
         return next(team for team in self.teams if team.range == self.sense.range)
 
     @property
-    def blind(self) -> Team | None:
+    def no_sensor(self) -> Team | None:
         """The team without a sensor; None: its robots might drive into unknown obstacles."""
         return self.teams[0] if self.teams[0].range == 0 else None
 
     @property
     def behind(self) -> str:
         """The source of the figures."""
-        found = self.told.found
+        found = self.known_map.found
         return (
             f"{counted(found.rollouts, 'rollout')} of each, common random numbers"
             if isinstance(found, Sampled)
@@ -163,28 +167,28 @@ class Knowledge(Output):
         )
 
     def as_json(self) -> Json:
-        learning, blind = self.learning, self.blind
+        learning, no_sensor = self.learning, self.no_sensor
         return {
-            "known": self.told.as_json(),
+            "known": self.known_map.as_json(),
             "learning": learning.as_json(),
-            "blind": None if blind is None else blind.as_json(),
-            "price_of_not_knowing": self.told.ahead(learning).to_json(),
-            "worth_of_sensing": None if blind is None else learning.ahead(blind).to_json(),
+            "no_sensor": None if no_sensor is None else no_sensor.as_json(),
+            "price_of_not_knowing": self.known_map.ahead(learning).to_json(),
+            "value_of_sensing": None if no_sensor is None else learning.ahead(no_sensor).to_json(),
             "steps": [
-                {"from": one.range, "to": other.range, "worth": more.to_json()} for one, other, more in self.steps
+                {"from": one.range, "to": other.range, "gain": more.to_json()} for one, other, more in self.steps
             ],
-            "curve": [team.as_json() | {"behind": self.told.ahead(team).to_json()} for team in self.teams],
-            "rollouts": self.told.found.rollouts,
+            "curve": [team.as_json() | {"behind": self.known_map.ahead(team).to_json()} for team in self.teams],
+            "rollouts": self.known_map.found.rollouts,
         }
 
     def blocks(self) -> Blocks:
         columns = ("team", "visited %", "95 %", "known map: more", "lost", "steps")
         table = make_table(columns, "Value of map information")
         for team in self.teams:
-            behind = "" if team is self.told else self.told.ahead(team).said(100, " points")
+            behind = "" if team is self.known_map else self.known_map.ahead(team).describe(100, " points")
             lost, time = team.found.mean("lost"), team.found.mean("time")
             table.add_row(
-                "known map" if team is self.told else _sees(team.range),
+                "known map" if team is self.known_map else _sees(team.range),
                 *team.coverage.columns(100.0, 100),
                 behind,
                 lost.columns()[0],
@@ -195,21 +199,21 @@ class Knowledge(Output):
         return Blocks(
             leads=list(self._leads()), tables=[table], notes=[note], pictures=pictures,
             below=[self.chart()] if pictures else [], layers={"believed.png": lambda: self.believed},
-            settings={"knowledge": self.sense.said},
+            settings={"knowledge": self.sense.description},
         )  # fmt: skip
 
     def _leads(self) -> Iterator[str]:
-        learning, blind = self.learning, self.blind
-        if learning is not self.told:
+        learning, no_sensor = self.learning, self.no_sensor
+        if learning is not self.known_map:
             price = difference_text(
-                self.told.ahead(learning), "not knowing it costs", "robots that do not know it visit"
+                self.known_map.ahead(learning), "not knowing it costs", "robots that do not know it visit"
             )
-            yield f"With a known map robots visit {percent(self.told.coverage.mean)}: {price}."
-        if blind is not None and blind is not learning:
-            worth = difference_text(learning.ahead(blind), "the sensor gains", "robots with a sensor visit", "less")
-            yield f"Without a sensor robots visit {percent(blind.coverage.mean)}: {worth}."
+            yield f"With a known map robots visit {percent(self.known_map.coverage.mean)}: {price}."
+        if no_sensor is not None and no_sensor is not learning:
+            worth = difference_text(learning.ahead(no_sensor), "the sensor gains", "robots with a sensor visit", "less")
+            yield f"Without a sensor robots visit {percent(no_sensor.coverage.mean)}: {worth}."
         if steps := [
-            f"{more.said(100, ' points')} from {near.range:g} to {far.range:g}" for near, far, more in self.steps
+            f"{more.describe(100, ' points')} from {near.range:g} to {far.range:g}" for near, far, more in self.steps
         ]:
             yield f"Gain by sensor range, cells: {', '.join(steps)}."
 
@@ -225,7 +229,7 @@ class Knowledge(Output):
         seen = Series.of("by sensor range", [team.range for team in near], [team.coverage for team in near])
         return Chart(
             "Coverage by sensor range", (seen,), "sensor range, cells", "visited, % of the cells",
-            unit="%", at_y=((100 * self.told.coverage.mean, "known map"),), x_whole=False, x_digits=1,
+            unit="%", at_y=((100 * self.known_map.coverage.mean, "known map"),), x_whole=False, x_digits=1,
         )  # fmt: skip
 
 
@@ -237,7 +241,7 @@ def _believed(world: World, plan: Plan) -> CellLayer:
     about = f"The probability that one visit destroys a robot, by the prior map. {dark}"
     threat, (rows, cols) = world.threat.copy(), plan.starts.T
     threat[rows, cols] = np.nan_to_num(threat[rows, cols])  # a start is free, whatever the prior map shows
-    believed = replace(world, threat=threat, knowledge=None, doubt=None)
+    believed = replace(world, threat=threat, knowledge=None, uncertainty=None)
     return replace(threat_layer(believed, plan), name="Prior map", about=about)
 
 
@@ -261,14 +265,14 @@ class Experience(Output):
     """Three teams, and their knowledge at the end.
 
     Attributes:
-        told, learning, blind: the figures; `told` (known hazards) on the first of the others' rollouts.
+        known_hazards, learning, no_learning: the figures; `known_hazards` on the first of the others' rollouts.
         world: the world in which robots learn. reach: bool `[H, W]`, cells that robots can reach.
         posterior, entropy: float64 `[H, W]`, mean over `ends` runs; entropy in bits.
     """
 
-    told: Measured
+    known_hazards: Measured
     learning: Measured
-    blind: Measured
+    no_learning: Measured
     world: World
     reach: NDArray[np.bool_]
     posterior: NDArray[np.float64]
@@ -283,7 +287,7 @@ class Experience(Output):
 
     @classmethod
     def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
-        world, plan, hazard = run.world, run.plan, run.world.doubt
+        world, plan, hazard = run.world, run.plan, run.world.uncertainty
         if not isinstance(hazard, Hazard) or run.choices.loop == "open":
             return
         count = min(run.last.tally.rollouts, MOST)
@@ -291,11 +295,13 @@ class Experience(Output):
             run.choices, rollouts=count, precision=None, seconds=None, deadline=None, exact="never", engine="numba"
         )
         run.doing("the same team, without learning")
-        unaware = replace(world, doubt=replace(hazard, learn=False, detector=None))
-        blind = Trial(unaware, allocated_plan(unaware, plan.starts, plan.require(world)), choices).sample(0, count)
+        unaware = replace(world, uncertainty=replace(hazard, learn=False, detector=None))
+        no_learning = Trial(unaware, allocated_plan(unaware, plan.starts, plan.require(world)), choices).sample(
+            0, count
+        )
         learning = Trial(world, plan, choices).sample(0, count)
         run.doing("the same team, known hazards")
-        told = sample_with_known_hazards(world, plan, choices, min(count, MOST_MAPS))
+        known_hazards = sample_with_known_hazards(world, plan, choices, min(count, MOST_MAPS))
         run.doing("the posterior at the end")
         loop, ends = compile_closed_loop(plan, world), min(count, MOST_ENDS)
         prior = np.where(world.free, hazard.q, np.nan).astype(np.float64).ravel()
@@ -304,23 +310,25 @@ class Experience(Output):
             known = chance_of(final_odds(loop, choices.seed, 0, ends))
             posterior[loop.cells], entropy[loop.cells] = known.mean(axis=0), entropy_of(known).mean(axis=0)
         reach, shape = world.accessible(plan.starts), world.shape
-        yield cls(told, learning, blind, world, reach, posterior.reshape(shape), entropy.reshape(shape), ends)
+        yield cls(
+            known_hazards, learning, no_learning, world, reach, posterior.reshape(shape), entropy.reshape(shape), ends
+        )
 
     @property
     def prior(self) -> NDArray[np.float64]:
         """float64 `[H, W]`: probability of a hazard in each cell before the mission."""
-        assert isinstance(self.world.doubt, Hazard)
-        return self.world.doubt.q.astype(np.float64)
+        assert isinstance(self.world.uncertainty, Hazard)
+        return self.world.uncertainty.q.astype(np.float64)
 
     @cached_property
     def price(self) -> Estimate:
         """Gain in coverage of known hazards over learning, a fraction of the cells."""
-        return self.told.ahead(self.learning, "visited", self._unit)
+        return self.known_hazards.ahead(self.learning, "visited", self._unit)
 
     @cached_property
     def worth(self) -> Estimate:
         """Gain in coverage of learning over no learning, a fraction of the cells."""
-        return self.learning.ahead(self.blind, "visited", self._unit)
+        return self.learning.ahead(self.no_learning, "visited", self._unit)
 
     @property
     def bits(self) -> tuple[float, float]:
@@ -336,14 +344,16 @@ class Experience(Output):
         return {
             **{name: self._team(found) for name, found in self._teams()},
             "price_of_not_knowing": self.price.to_json(),
-            "worth_of_learning": self.worth.to_json(),
-            "maps": self.told.rollouts,
+            "value_of_learning": self.worth.to_json(),
+            "maps": self.known_hazards.rollouts,
             "rollouts": self.learning.rollouts,
             "posterior": {"rollouts": self.ends, "entropy": {"before": before, "after": after}},
         }
 
     def _teams(self) -> Iterator[tuple[str, Measured]]:
-        return iter((("told", self.told), ("learning", self.learning), ("blind", self.blind)))
+        return iter(
+            (("known_hazards", self.known_hazards), ("learning", self.learning), ("no_learning", self.no_learning))
+        )
 
     def _team(self, found: Measured) -> Json:
         figures = {
@@ -360,19 +370,21 @@ class Experience(Output):
             table.add_row(
                 said, *found.mean("visited", self._unit).columns(100.0, 100), found.mean("lost").columns()[0], time
             )
-        blind, told = (found.mean("visited", self._unit) for found in (self.blind, self.told))
+        no_learning, known_hazards = (
+            found.mean("visited", self._unit) for found in (self.no_learning, self.known_hazards)
+        )
         before, after = self.bits
         price = difference_text(self.price, "not knowing them costs", "robots that do not know them visit")
         worth = difference_text(self.worth, "learning gains", "robots that learn visit", "less")
-        sure = "" if told.half_width == 0 else f" ({told.columns(100.0, 100)[1]}, 95 %)"
+        sure = "" if known_hazards.half_width == 0 else f" ({known_hazards.columns(100.0, 100)[1]}, 95 %)"
         leads = [
-            f"Without learning robots visit {percent(blind.mean)}: {worth}.",
-            f"With known hazards robots visit {told.columns(100.0, 100)[0]} % of the cells in "
-            f"{counted(self.told.rollouts, 'run')}{sure}: {price}.",
+            f"Without learning robots visit {percent(no_learning.mean)}: {worth}.",
+            f"With known hazards robots visit {known_hazards.columns(100.0, 100)[0]} % of the cells in "
+            f"{counted(self.known_hazards.rollouts, 'run')}{sure}: {price}.",
         ]
         notes = [
             f"value of learning: {counted(self.learning.rollouts, 'rollout')} of each, common random numbers; "
-            f"known hazards: the first {self.told.rollouts:,}, a plan for each",
+            f"known hazards: the first {self.known_hazards.rollouts:,}, a plan for each",
             f"uncertainty about hazards: {before:.3f} bits a cell before the mission, {after:.3f} at the end of a run "
             f"(mean of {self.ends:,})",
         ]

@@ -64,7 +64,7 @@ class Band(Output):
 
     @classmethod
     def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
-        if run.choices.loop == "open" and run.world.doubt is not None:
+        if run.choices.loop == "open" and run.world.uncertainty is not None:
             return  # the open loop on uncertain maps has no single rollouts
         run.doing("coverage over time")
         world, plan, choices, tally = run.world, run.plan, run.choices, run.last.tally

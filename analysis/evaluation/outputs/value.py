@@ -22,7 +22,7 @@ from analysis.evaluation.figures import Blocks, Output, Run
 from analysis.sampling import make_engine_for
 from analysis.statistics.estimates import TAIL, Estimate, at_least, exactly, in_unit, robots_left, tail_mean, times_to
 from analysis.statistics.variance_reduction import LEAST, CommonThresholds, tally_mean
-from analysis.theory.exact import Worth, open_loop_found
+from analysis.theory.exact import CellValues, open_loop_found
 from analysis.theory.upper_bound import MOST_CELLS, trimmed, value_bound
 from analysis.utils.tables import make_table
 from planner.arguments import argument
@@ -55,7 +55,7 @@ class ValueFigures:
     """
 
     world: World
-    worth: Worth
+    worth: CellValues
     covered: Estimate
     found: Estimate
     covered_by_cell: NDArray[np.float64]
@@ -189,7 +189,7 @@ def _common(value: ValueFigures) -> Rows:
     for name, ratio in zip(("m2 covered per robot lost", "value covered per robot lost"), each, strict=True):
         yield name, "no robot is lost" if ratio is None else amount(ratio), ""
     for robots, chance in enumerate(value.robots_left, 1):
-        if robots in _shown(value.tally.robots):
+        if robots in _listed(value.tally.robots):
             yield _row(f"chance that {at_least_text(robots, value.tally.robots)} left", chance, chance=True)
     for share, step in times_to(value.tally).items():
         when = "never" if step is None else f"{step:,}{value.world.pace.also(step)}"
@@ -199,7 +199,7 @@ def _common(value: ValueFigures) -> Rows:
     yield f"coverage in the worst {100 * TAIL:g} % of runs (CVaR)", percent(value.cvar, 2), ""
 
 
-def _shown(robots: int) -> set[int]:
+def _listed(robots: int) -> set[int]:
     """One robot, half of the robots, all robots."""
     return {1, -(-robots // 2), robots}
 
@@ -222,14 +222,14 @@ class Value(ValueFigures, Output):
 
     @classmethod
     def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
-        worth, tally, most = Worth.of(run.world), run.last.tally, None
-        bounded = not run.choices.first_only and run.world.doubt is None and run.plan.state is None
+        worth, tally, most = CellValues.of(run.world), run.last.tally, None
+        bounded = not run.choices.first_only and run.world.uncertainty is None and run.plan.state is None
         bounded = bounded and run.plan.failure_model.is_plain
         if bounded and tally.accessible <= MOST_CELLS:
             most = value_bound(trimmed(run.world, run.plan), run.plan.starts)
         tree = run.closed if isinstance(run.closed, TreeTruth) else None
         if run.choices.loop == "open" or (run.closed is not None and tree is None and not run.certain):
-            if run.world.doubt is not None:
+            if run.world.uncertainty is not None:
                 problem = "the value found in the open loop of an uncertain map is not known exactly"
                 raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")
             visited, found = run.exact.visited_by_cell, open_loop_found(run.plan, run.world)
@@ -303,12 +303,12 @@ class Units:
         worth: value of the cells. covered: int64 `[N]`. found: int64 `[N, MOST_PASSES + 1]`, by survived visits.
     """
 
-    worth: Worth
+    worth: CellValues
     covered: NDArray[np.int64]
     found: NDArray[np.int64]
 
     @classmethod
-    def of(cls, worth: Worth) -> Self:
+    def of(cls, worth: CellValues) -> Self:
         """The integer contribution of each cell to the sums of a rollout."""
         share = units_of(worth)
         missed = (1.0 - worth.detect[:, None]) ** np.arange(MOST_PASSES + 1)
@@ -334,7 +334,7 @@ class Units:
         return mean_value(column, self.worth.total, len(self.covered), certain, controls)
 
 
-def found_chances(tally: Tally, worth: Worth) -> tuple[NDArray[np.float64], float]:
+def found_chances(tally: Tally, worth: CellValues) -> tuple[NDArray[np.float64], float]:
     """P(found in c), float64 `[N]`, from counts of survived visits; and the largest error of the expected value."""
     at_least = tally.passes.reshape(-1, MOST_PASSES) / tally.rollouts
     counts, missed = tally.passes.reshape(-1, MOST_PASSES), 1.0 - worth.detect

@@ -170,7 +170,7 @@ TEAM_MOST, FEW = 8192, 1024
 class Other(NamedTuple):
     """A team with equal robots in one respect, its description, and its figures."""
 
-    said: str
+    description: str
     found: Sampled
 
 
@@ -225,7 +225,7 @@ class EqualRobots(Output):
             "rollouts": self.team.rollouts,
             **self._figures(self.team),
             "others": [
-                {"team": other.said, **self._figures(other.found), "ahead": self.ahead(other).to_json()}
+                {"team": other.description, **self._figures(other.found), "ahead": self.ahead(other).to_json()}
                 for other in self.others
             ],
         }
@@ -243,7 +243,7 @@ class EqualRobots(Output):
         for said, found in self.others:
             share, less = percent(found.mean("visited", self._unit).mean), self.ahead(Other(said, found))
             apart = less if less.mean > 0 else found.ahead(self.team, "visited", self._unit)
-            words = f"{apart.said(100, ' points')} {'less' if less.mean > 0 else 'more'}"
+            words = f"{apart.describe(100, ' points')} {'less' if less.mean > 0 else 'more'}"
             leads.append(f"Robots {said} would visit {share}: {words}.")
         notes = [f"equal robots: {counted(self.team.rollouts, 'rollout')} of each team, common random numbers"]
         return Blocks(leads=leads, tables=[table], notes=notes)
@@ -257,7 +257,7 @@ class EqualRobots(Output):
 
 ENOUGH = 8
 """Fewest rollouts a map, on average, for which the evaluation's rollouts are used."""
-LEAST, MAP_DOUBT_MOST = 2**10, 2**20
+LEAST, MAP_VARIANCE_MOST = 2**10, 2**20
 """Fewest and most of the evaluation's rollouts that are used."""
 LEAST_MAPS, MOST_MAPS, EACH = 64, 1024, 16
 """Maps drawn if rollouts hardly share one, fewest and most, and closed-loop rollouts on each."""
@@ -278,21 +278,22 @@ class MapVariance(Output):
 
     @classmethod
     def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
-        doubt = run.world.doubt
-        if not isinstance(doubt, Uncertain) or run.certain:
+        uncertainty = run.world.uncertainty
+        if not isinstance(uncertainty, Uncertain) or run.certain:
             return
         run.doing("the maps one by one")
         # Up to 2**53 the number of maps is exact as a float of JSON.
-        count, numbers = doubt.count, len(np.unique(doubt.number[run.world.threat > 0]))
+        count, numbers = uncertainty.count, len(np.unique(uncertainty.number[run.world.threat > 0]))
         of = count**numbers if numbers * np.log2(count) <= 53 else None
         if run.choices.loop == "open":
-            yield cls(_exactly(run, doubt), of, 0)
+            yield cls(_exactly(run, uncertainty), of, 0)
         elif (
-            doubt.whole and (rollouts := int(np.clip(run.last.tally.rollouts, LEAST, MAP_DOUBT_MOST))) >= ENOUGH * count
+            uncertainty.whole
+            and (rollouts := int(np.clip(run.last.tally.rollouts, LEAST, MAP_VARIANCE_MOST))) >= ENOUGH * count
         ):
-            yield cls(_of_rollouts(run, doubt, rollouts), of, rollouts)
+            yield cls(_of_rollouts(run, uncertainty, rollouts), of, rollouts)
         else:
-            yield cls(_of_drawn(run, doubt, maps := _maps(run)), of, maps * EACH)
+            yield cls(_of_drawn(run, uncertainty, maps := _maps(run)), of, maps * EACH)
 
     @property
     def means(self) -> NDArray[np.float64]:
@@ -339,7 +340,7 @@ class MapVariance(Output):
             f"map uncertainty: {self.behind}; standard deviation between maps {_points(self.parts.between)}, "
             f"between runs on one map {_points(self.parts.within)} points"
         )
-        return Blocks(tables=[table], notes=[note], pictures={"doubt.png": lambda: [self.chart()]})
+        return Blocks(tables=[table], notes=[note], pictures={"map_variance.png": lambda: [self.chart()]})
 
     def chart(self) -> Chart:
         """Mean coverage over the share of maps with at most that coverage, with the deviation of single runs."""
@@ -363,15 +364,19 @@ def _maps(run: Run) -> int:
     return int(np.clip(run.last.tally.rollouts // EACH, LEAST_MAPS, MOST_MAPS))
 
 
-def _exactly(run: Run, doubt: Uncertain) -> Components:
+def _exactly(run: Run, uncertainty: Uncertain) -> Components:
     """Components of the open loop: over all maps, or over some drawn by level."""
     tally = run.last.tally
-    maps = map(doubt.threat_at, range(doubt.count)) if doubt.whole else _drawn(run, doubt, MOST_MAPS)
-    means = [open_loop_exact(run.plan, replace(run.world, threat=one, doubt=None)).visited for one in maps]
-    return known_between(np.array(means) / tally.accessible, doubt.whole, tally.visited)
+    maps = (
+        map(uncertainty.threat_at, range(uncertainty.count))
+        if uncertainty.whole
+        else _drawn(run, uncertainty, MOST_MAPS)
+    )
+    means = [open_loop_exact(run.plan, replace(run.world, threat=one, uncertainty=None)).visited for one in maps]
+    return known_between(np.array(means) / tally.accessible, uncertainty.whole, tally.visited)
 
 
-def _of_rollouts(run: Run, doubt: Uncertain, count: int) -> Components:
+def _of_rollouts(run: Run, uncertainty: Uncertain, count: int) -> Components:
     """Components from the evaluation's rollouts, and further ids if those are few, each with its own map."""
     engine = make_engine_for(run.world, run.plan, run.choices, kept=run.kept)
     parts, seconds = [], 0.0
@@ -379,20 +384,20 @@ def _of_rollouts(run: Run, doubt: Uncertain, count: int) -> Components:
         parts.append(found.visited)
         seconds += took
         run.progress(start + size, count, seconds)
-    maps = rows_met(doubt, run.choices.seed, np.arange(count))[:, 0]
+    maps = rows_met(uncertainty, run.choices.seed, np.arange(count))[:, 0]
     return of_values(maps, np.concatenate(parts) / run.last.tally.accessible, 1.0)
 
 
-def _of_drawn(run: Run, doubt: Uncertain, maps: int) -> Components:
+def _of_drawn(run: Run, uncertainty: Uncertain, maps: int) -> Components:
     """Components from drawn maps, with other random numbers on each: common ones would correlate their means."""
     engine = make_engine_for(run.world, run.plan, run.choices, kept=run.kept)
     values = np.empty((maps, EACH))
-    for place, threat in enumerate(_drawn(run, doubt, maps)):
-        one = engine.under(replace(run.world, threat=threat, doubt=None))
+    for place, threat in enumerate(_drawn(run, uncertainty, maps)):
+        one = engine.under(replace(run.world, threat=threat, uncertainty=None))
         values[place] = one.results(place * EACH, EACH).visited / run.last.tally.accessible
         of_things(run.progress, "maps")(place + 1, maps, 0.0)
     return of_means(values.mean(axis=1), values.var(axis=1, ddof=1), EACH, 1.0)
 
 
-def _drawn(run: Run, doubt: Uncertain, maps: int) -> Iterator[NDArray[np.float32]]:
-    return (true_map(doubt, run.choices.seed, rollout) for rollout in range(maps))
+def _drawn(run: Run, uncertainty: Uncertain, maps: int) -> Iterator[NDArray[np.float32]]:
+    return (true_map(uncertainty, run.choices.seed, rollout) for rollout in range(maps))

@@ -432,7 +432,7 @@ def rollout_messages(stage: Stage, trace: Trace, clock: Clock) -> Iterator[Messa
     drawer = RolloutDrawer(stage, trace, clock)
     for step in range(trace.time + 1):
         time = clock.at(step)
-        for topic, said in drawer.said(time, step):
+        for topic, said in drawer.messages(time, step):
             yield Message(topic, time, said if isinstance(said, bytes) else said.SerializeToString())
 
 
@@ -460,7 +460,7 @@ class RolloutDrawer:
         self.every = -(-steps * size // GRID_BYTES)
         self.driven_every, self.paths_every = (-(-steps // looks) for looks in (DRIVEN_LOOKS, DRIVEN_PATHS))
 
-    def said(self, time: int, step: int) -> Messages:
+    def messages(self, time: int, step: int) -> Messages:
         """All messages of one step; steps must be consecutive."""
         if step == 0:
             yield from self._begin(time)
