@@ -7,7 +7,7 @@ DOCS := .venv/.docs
 # Some machines' setting: hundreds of processes of the tests would each compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install demo size test test-slow fuzz faults determinism calibration style types suite lint format bench bench-gpu docs release-check
+.PHONY: install demo size test test-browser test-slow fuzz faults determinism calibration style types suite lint format bench bench-gpu docs release-check
 
 install: $(READY)
 
@@ -26,6 +26,10 @@ test: style size
 
 suite: $(READY)
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
+
+# Pages and the studio in the system's Chromium (Debian: apt install chromium chromium-driver), part of make test too.
+test-browser: $(READY)
+	$(BIN)/python -m pytest -m "browser and not slow"
 
 # make test-slow PART=3/8 runs the third of eight parts; the results go to tests/evidence.json.
 PART ?= 1/1

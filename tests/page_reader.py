@@ -5,12 +5,8 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import os
 import re
-import select
 import shutil
-import subprocess
-import sys
 from html.parser import HTMLParser
 from io import BytesIO
 from pathlib import Path
@@ -19,6 +15,8 @@ from typing import Any
 
 import pytest
 from PIL import Image
+from selenium import webdriver
+from selenium.webdriver.chrome.service import Service
 
 from analysis.cli.app import run
 
@@ -133,24 +131,12 @@ def _is_accessible(reader: Reader) -> None:
     assert all(attrs.get("scope") for attrs in reader.all("th"))
 
 
-# A real browser without a window, driven over the DevTools protocol through a pipe: no port, no library.
+# A real browser without a window: the system's Chromium, driven by Selenium.
 
-NAMES = ("chromium", "chromium-browser", "google-chrome")
+BROWSERS, DRIVERS = ("chromium", "chromium-browser", "google-chrome"), ("chromedriver", "chromium.chromedriver")
 FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars",
-         "--remote-debugging-pipe", "--force-color-profile=srgb", "--disable-background-networking",
-         "--no-first-run")  # fmt: skip
-PATIENCE = 60.0
-"""Seconds between two messages."""
-HAND_ON = """
-import os, sys
-read, write, *command = sys.argv[1:]
-pipes = os.dup(int(read)), os.dup(int(write))
-for place, end in enumerate(pipes, start=3):
-    os.dup2(end, place)
-    os.set_inheritable(place, True)
-os.execv(command[0], command)
-"""
-"""The protocol's own pipes: 3 to read from, 4 to write to. Not by `preexec_fn`: JAX warns of a fork."""
+         "--force-color-profile=srgb", "--disable-background-networking", "--disable-component-update",
+         "--disable-sync", "--no-first-run")  # fmt: skip
 FOCUSED = """(async () => {
   const e = document.activeElement, outline = (x) => x ? getComputedStyle(x).outlineStyle !== "none" : false;
   if (!e || e === document.body) return null;
@@ -164,71 +150,61 @@ FOCUSED = """(async () => {
 """What has the focus, and whether it can be seen that it has, soon."""
 
 
-def browser_path() -> str | None:
-    """Where a browser is; None: nowhere."""
-    return next(filter(None, map(shutil.which, NAMES)), None)
+def has_browser() -> bool:
+    """Whether Chromium and its driver are installed."""
+    return all(any(map(shutil.which, names)) for names in (BROWSERS, DRIVERS))
+
+
+def needs_browser(test: Any) -> Any:
+    """Marks a test that needs a browser: `make test-browser` runs these alone, and a machine without one none."""
+    return pytest.mark.browser(pytest.mark.skipif(not has_browser(), reason="no Chromium with chromedriver")(test))
 
 
 class Browser:
-    """One page in a browser; `noticed`: errors and words of its console, and every address that it asked for."""
+    """One page in a browser."""
 
     def __init__(self, profile: Path) -> None:
         """`profile`: an empty folder."""
-        path = browser_path()
-        assert path is not None
-        (to_read, self._write), (self._read, to_write) = os.pipe(), os.pipe()
-
-        command = [sys.executable, "-c", HAND_ON, str(to_read), str(to_write), path, *FLAGS]
-        command += [f"--user-data-dir={profile}", "about:blank"]
-        quiet = subprocess.DEVNULL
-        self._process = subprocess.Popen(command, pass_fds=(to_read, to_write), stdout=quiet, stderr=quiet)
-        os.close(to_read)
-        os.close(to_write)
-        self._number, self._waiting, self._session = 0, b"", None
-        self.noticed: list[str] = []
-        self.asked: list[str] = []
-        self._loaded = False
-        target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        for domain in ("Page", "Runtime", "Log", "Network"):
-            self.call(f"{domain}.enable")
+        options = webdriver.ChromeOptions()
+        options.binary_location = next(filter(None, map(shutil.which, BROWSERS)))
+        for flag in (*FLAGS, f"--user-data-dir={profile}"):
+            options.add_argument(flag)
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+        service = Service(next(filter(None, map(shutil.which, DRIVERS))))
+        self._driver = webdriver.Chrome(options, service)
+        self._driver.get("about:blank")
+        self._driver.get_log("performance")  # of the browser's own first tab
+        self._messages: list[str] = []
+        self._requests: list[str] = []
 
     def __enter__(self) -> Browser:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
-        self._process.kill()
-        self._process.wait()
-        os.close(self._read)
-        os.close(self._write)
+        self._driver.quit()
 
-    def _message(self) -> dict[str, Any]:
-        while b"\0" not in self._waiting:
-            assert select.select([self._read], [], [], PATIENCE)[0], "the browser says nothing"
-            found = os.read(self._read, 2**20)
-            assert found, "the browser has ended"
-            self._waiting += found
-        message, _, self._waiting = self._waiting.partition(b"\0")
-        told: dict[str, Any] = json.loads(message)
-        method, words = told.get("method", ""), told.get("params", {})
-        if method in ("Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded"):
-            self.noticed.append(json.dumps(words))
-        elif method == "Network.requestWillBeSent":
-            self.asked.append(words["request"]["url"])
-        self._loaded |= method == "Page.loadEventFired"
-        return told
+    @property
+    def noticed(self) -> list[str]:
+        """Errors and messages of the console so far."""
+        self._messages += [entry["message"] for entry in self._driver.get_log("browser")]
+        return self._messages
+
+    @property
+    def asked(self) -> list[str]:
+        """Addresses that pages requested so far."""
+        events = (json.loads(entry["message"])["message"] for entry in self._driver.get_log("performance"))
+        self._requests += [
+            event["params"]["request"]["url"] for event in events if event["method"] == "Network.requestWillBeSent"
+        ]
+        return self._requests
 
     def call(self, method: str, **words: Any) -> Any:
-        """The answer of one command of the protocol."""
-        self._number += 1
-        message = {"id": self._number, "method": method, "params": words}
-        if self._session:
-            message["sessionId"] = self._session
-        os.write(self._write, json.dumps(message).encode() + b"\0")
-        while (told := self._message()).get("id") != self._number:
-            pass
-        assert "error" not in told, (method, told["error"])
-        return told["result"]
+        """The answer to one command of the DevTools protocol."""
+        return self._driver.execute_cdp_cmd(method, words)
+
+    def picture(self, path: Path) -> None:
+        """Write a PNG of the window."""
+        assert self._driver.save_screenshot(str(path))
 
     def open(self, page: Path | str, width: int = 1280, dark: bool = False, height: int = 900) -> None:
         """Load a page, a file or an address, in a window so many CSS pixels wide."""
@@ -236,10 +212,7 @@ class Browser:
                   mobile=width < 600)  # fmt: skip
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", media="", features=[scheme])
-        self._loaded = False
-        self.call("Page.navigate", url=page if isinstance(page, str) else page.as_uri())
-        while not self._loaded:
-            self._message()
+        self._driver.get(page if isinstance(page, str) else page.as_uri())
 
     def run(self, script: str) -> Any:
         """The value of an expression in the page, awaited."""

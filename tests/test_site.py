@@ -8,7 +8,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
-from page_reader import Browser, browser_path
+from page_reader import Browser, needs_browser
 
 ROOT = Path(__file__).parent.parent
 SITE = ROOT / "out" / "site"
@@ -88,7 +88,7 @@ def test_notebooks_show_every_plot() -> None:
     assert plots >= 4
 
 
-@pytest.mark.skipif(browser_path() is None, reason="no browser here")
+@needs_browser
 @pytest.mark.parametrize("width", [1280, 390])
 def test_a_browser_asks_for_files_alone(tmp_path: Path, width: int) -> None:
     with Browser(tmp_path) as browser:

@@ -22,10 +22,9 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-import quickjs
 from conftest import FOLDER
 from helpers import ROOT, error_of
-from page_reader import Browser, browser_path, check_page_is_sound
+from page_reader import Browser, check_page_is_sound, needs_browser
 
 from analysis.cli.app import run
 from analysis.page.document import asset
@@ -306,7 +305,6 @@ def test_the_page_tells_nothing_of_the_map_and_forbids_all_else(served: Served) 
     assert reply.headers["X-Content-Type-Options"] == "nosniff" and reply.headers["Cache-Control"] == "no-store"
     reader = check_page_is_sound(page, asks="fetch(")
     assert not [word for word in ("Team", "Save", "Undo") if word not in reader.text]
-    quickjs.Function("parse", "function parse(text) { new Function(text); }")(reader.scripts[0][1])
 
 
 @pytest.mark.parametrize("chunked", [False, True])
@@ -451,10 +449,9 @@ def test_without_the_extra_the_fix_is_named(monkeypatch: pytest.MonkeyPatch, cap
 # --- the board's script, and the whole in a browser ---
 
 
-@pytest.mark.parametrize("p", [0.05, 0.1, 0.25, 0.5])
-def test_the_worst_threat_has_the_last_colour_of_the_scale(p: float) -> None:
-    play = quickjs.Function(
-        "play",
+@needs_browser
+def test_the_worst_threat_has_the_last_colour_of_the_scale(tmp_path: Path) -> None:
+    script = (
         asset("picture.js", "analysis.studio")
         + """
       function make() { return { style: {} }; }
@@ -469,14 +466,16 @@ def test_the_worst_threat_has_the_last_colour_of_the_scale(p: float) -> None:
         const picture = makePicture(box, { style: {}, replaceChildren: () => {} }, palettes);
         picture.draw({ rows: 1, cols: 3, cells: new Float32Array([0, p, NaN]), unknown: [0, 0, 0] }, layer, null, 0);
         return drawn;
-      }""",
+      }"""
     )
-    assert play(p) == [255, 255, 255, 255, 255, 0, 0, 255, 0, 0, 0, 255]
+    with Browser(tmp_path) as browser:
+        drawn = browser.run(f"(() => {{ {script} return [0.05, 0.1, 0.25, 0.5].map(play); }})()")
+    assert drawn == 4 * [[255, 255, 255, 255, 255, 0, 0, 255, 0, 0, 0, 255]]
 
 
-def test_the_board_paints_and_takes_back() -> None:
-    play = quickjs.Function(
-        "play",
+@needs_browser
+def test_the_board_paints_and_takes_back(tmp_path: Path) -> None:
+    script = (
         asset("board.js", "analysis.studio")
         + """
       function play() {
@@ -496,10 +495,11 @@ def test_the_board_paints_and_takes_back() -> None:
         board.keep(); board.paint("Known", 0, 1, [0, 0], [0, 0]); unknown();
         board.back(); unknown(); board.back(); unknown(); board.forth(); board.forth(); board.back(); board.back();
         return { seen, hidden, refused, back: board.canGoBack, forth: board.canGoForth };
-      }""",
+      }"""
     )
     painted, threats = [[0, 0], [0, 1], [2, 3]], "0.5 0 0 0 0 # 0 0 0 0 0.5 0"
-    found = play()
+    with Browser(tmp_path) as browser:
+        found = browser.run(f"(() => {{ {script} return play(); }})()")
     assert found["seen"] == [
         [threats, None, 2],
         [threats, painted, 3],
@@ -513,7 +513,7 @@ def test_the_board_paints_and_takes_back() -> None:
     assert not found["refused"] and found["back"] and found["forth"]
 
 
-@pytest.mark.skipif(browser_path() is None, reason="no browser here")
+@needs_browser
 def test_a_finger_paints_or_moves_an_enlarged_map(tmp_path: Path) -> None:
     """On a phone: with Move chosen it scrolls the map and paints nothing, with a brush the other way round."""
     world = World.create(np.zeros((41, 50)))
@@ -544,7 +544,7 @@ def test_a_finger_paints_or_moves_an_enlarged_map(tmp_path: Path) -> None:
         assert browser.run(view) == moved and studio.board.world.threat.any() and browser.noticed == []
 
 
-@pytest.mark.skipif(browser_path() is None, reason="no browser here")
+@needs_browser
 def test_a_browser_paints_and_saves(served: Served, tmp_path: Path) -> None:
     """A stroke by the pointer, one by the keyboard, undone, saved: the headline follows; nothing in names is run."""
     headline, stage = ("document.getElementById('headline')." + name for name in ("textContent", "dataset.stage"))
