@@ -41,7 +41,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the backgrou
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-LANES = 64
+LANES = 16
 """Of most JAX engines of the closed loop in tests: a number of lanes is a program to compile."""
 
 

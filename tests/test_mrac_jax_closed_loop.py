@@ -352,9 +352,9 @@ def test_four_devices_count_as_one_does() -> None:
 
 def test_room_that_is_too_small_grows(loop: ClosedLoop, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mrac_jax.closed_loop.start.AREAS", 1)
-    engine = JaxClosedLoop(loop, 5, lanes=LANES, room=1, parts=2)
+    engine = JaxClosedLoop(loop, 5, lanes=LANES, room=16, parts=32)
     assert_same_runs(engine, loop, 100)
-    assert engine._room > 1 and engine._parts > 2
+    assert engine._room > 16 and engine._parts > 32
 
 
 def test_a_book_that_grows_while_lanes_wait(loop: ClosedLoop, monkeypatch: pytest.MonkeyPatch) -> None:
