@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drawn_worlds import WORLDS, closed_loop, expected, one_of, open_loop, persistent
-from helpers import assert_same_results, play_both_ways
+from helpers import ROOT, assert_same_results, play_both_ways
 from numba import typeof
 from open_loop_reference import plan_of as external_plan
 from scipy import stats
@@ -349,3 +349,62 @@ def test_one_robot_is_exact_by_level_and_teams_are_known_robot_by_robot() -> Non
     team = open_loop_exact(external_plan(world, PATHS), world)
     assert not team.is_known
     np.testing.assert_allclose(team.survival[0], survival, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("robots", "h", "percent"),
+    [(2, 1.0, 64.675), (4, 1.0, 70.187), (8, 1.0, 76.173), (12, 0.6, 83.461)],
+)
+def test_teams_among_hazards_in_many_shared_cells(robots: int, h: float, percent: float) -> None:
+    """Against values of another program; sampled values lie within five standard errors."""
+    plain = load_input(ROOT / "analysis" / "examples" / "paper.npz")
+    world = plain.with_latent_hazard("persistent", np.where(plain.free, plain.threat, 0), h)
+    plan = make_plan(world, place_starts(world, robots)[0], Settings())
+    exact = open_loop_exact(plan, world)
+    cells = int(world.accessible(plan.starts).sum())
+    assert abs(100 * exact.visited / cells - percent) < 0.0006
+    np.testing.assert_allclose(exact.visited_curve[-1], exact.visited, rtol=1e-12)
+    assert robots - exact.alive_chance @ np.arange(robots + 1) == pytest.approx(exact.expected_losses, rel=1e-12)
+    tally = make_engine(plan, world, Rolling("open", seed=5)).tally(0, 20_000)
+    for name, value in (("visited", exact.visited), ("survived", exact.survived), ("time", exact.mean_time)):
+        counts = getattr(tally, name)
+        mean = counts @ np.arange(len(counts)) / 20_000
+        assert abs(mean - value) <= 5 * np.sqrt(counts @ (np.arange(len(counts)) - mean) ** 2) / 20_000, name
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_hazards_of_every_cell_are_those_of_all_their_patterns(seed: int) -> None:
+    """Twelve cells, three robots, all 4,096 patterns: by cell, by step, and the numbers and times of survivors."""
+    draw = np.random.default_rng(seed)
+    q, h = draw.uniform(0, 0.9, (3, 4)).astype(np.float32), draw.uniform(0.1, 1, (3, 4)).astype(np.float32)
+    world = World.create(np.zeros((3, 4))).with_latent_hazard("persistent", q, h)
+    paths = []
+    for _ in range(3):
+        path = [int(draw.integers(12))]
+        while len(path) < 9:
+            row, col = divmod(path[-1], 4)
+            near = [(row + a, col + b) for a, b in ((0, 1), (1, 0), (0, -1), (-1, 0))]
+            near = [4 * a + b for a, b in near if 0 <= a < 3 and 0 <= b < 4]
+            path.append(int(draw.choice(near)))
+        paths.append(path)
+    there = (np.arange(2**12)[:, None] >> np.arange(12)) & 1
+    weight = np.where(there, q.ravel().astype(float), 1 - q.ravel().astype(float)).prod(axis=1)
+    missed, alive = np.ones((2, 9, 2**12, 12)), np.ones((2**12, 3, 10))
+    for robot, path in enumerate(paths):
+        for step, cell in enumerate(path):
+            before = alive[:, robot, step]
+            alive[:, robot, step + 1] = before * (1 - there[:, cell] * h.ravel()[cell].astype(float))
+            if cell not in path[:step]:
+                missed[0, step:, :, cell] *= 1 - before
+                missed[1, step:, :, cell] *= 1 - alive[:, robot, step + 1]
+    exact = open_loop_exact(external_plan(world, paths), world)
+    covered = 1 - missed.transpose(0, 1, 3, 2) @ weight
+    np.testing.assert_allclose(exact.visited_by_cell, covered[0, -1], atol=1e-12)
+    np.testing.assert_allclose(exact.survived_by_cell, covered[1, -1], atol=1e-12)
+    np.testing.assert_allclose(exact.visited_curve, covered[0].sum(axis=1), atol=1e-12)
+    np.testing.assert_allclose(exact.survived_curve, covered[1].sum(axis=1), atol=1e-12)
+    at_end = alive[:, :, -1]
+    by_number = [((1 - at_end).prod(axis=1) @ weight), at_end.prod(axis=1) @ weight]
+    np.testing.assert_allclose(exact.alive_chance[[0, 3]], by_number, atol=1e-12)
+    ended = (1 - alive[:, :, 1:9]).prod(axis=1).T @ weight
+    np.testing.assert_allclose(np.cumsum(exact.time_chance)[:-1], ended, atol=1e-12)

@@ -5,66 +5,32 @@ The oracle of the rollouts: the two share only plain types. Axis letters: `K` ro
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.failure_model import PLAIN, FailureModel
 from planner.plan.plan import Plan, RobotPlan
-from planner.world.moving_threats import ANYWHERE, MovingThreat, MovingThreats, Phases
+from planner.world.moving_threats import ANYWHERE, MovingThreat
 from planner.world.uncertain_maps import Hazard, Uncertain
 from planner.world.world import World
 
-# Threats on a robot's path with latent hazards, or with one of several maps (SPEC section 13).
+# Threats on a robot's path with latent hazards, or with one of several maps (SPEC section 13). Axis `E` = entries.
 #
-# Given the true state of the world the robots of an open loop are independent. Its exact values are therefore a
-# weighted sum over a few states: each state gives, for every entry of every path, the probability that the entry
-# destroys the robot if it is made. Axis `E` = entries.
+# Given the true state of the world the robots of an open loop are independent. With one map of M, exact values are the
+# mean over the M maps. With persistent hazards a robot is independent of the others but in the cells that both enter:
+# there the product over robots is replaced by a sum over sets of robots (`Joint`).
 #
-# A single robot needs no enumeration. After m survived entries into a cell with hazard probability q and threat h, the
+# A single robot needs neither. After m survived entries into a cell with hazard probability q and threat h, the
 # hazard is present with probability q (1 - h)**m / (1 - q + q (1 - h)**m), and the next entry destroys the robot with h
 # times that.
 
-MOST_SHARED = 10
-"""Most dangerous cells shared by several robots for which every pattern of hazards is enumerated."""
-
-
-@dataclass(frozen=True, eq=False)
-class Way:
-    """One possible state of the world: its probability, and per robot float64 `[E]`, the threat of each entry."""
-
-    chance: float
-    threats: list[NDArray[np.float64]]
-
-
-def ways(plan: Plan, world: World) -> Iterator[Way] | None:
-    """All relevant states of the world for a plan; None if there are too many, or robots are not independent given one.
-
-    For one map of M: M states. For hazards: the patterns of those that several robots can meet, if these are few; with
-    `consumed` hazards no cell may be shared; with maps drawn by level there may be one robot. For moving threats and
-    phases: None.
-    """
-    uncertainty = world.uncertainty
-    if isinstance(uncertainty, MovingThreats | Phases):
-        return None
-    if (
-        uncertainty is None
-        or world.draws is None
-        or not any(world.draws.bound[robot.path].any() for robot in plan.robots)
-    ):
-        return iter([Way(1.0, [_entered(world.met, robot) for robot in plan.robots])])
-    if isinstance(uncertainty, Uncertain):
-        if uncertainty.whole:
-            maps = map(uncertainty.threat_at, range(uncertainty.count))
-            return (Way(1.0 / uncertainty.count, [_entered(threat, robot) for robot in plan.robots]) for threat in maps)
-        return iter([Way(1.0, alone(plan, world))]) if len(plan.robots) == 1 else None
-    shared = _shared(plan, uncertainty)
-    if len(shared) > (MOST_SHARED if uncertainty.kind == "persistent" else 0):
-        return None
-    return _patterns(plan, uncertainty, shared)
+MOST_TERMS = 5 * 10**8
+"""Most products of a set of robots and a shared cell that are computed: some seconds."""
 
 
 def alone(plan: Plan, world: World) -> list[NDArray[np.float64]]:
@@ -112,17 +78,6 @@ def _shared(plan: Plan, hazard: Hazard) -> NDArray[np.int64]:
     cells, robots = np.unique(np.concatenate(mine), return_counts=True)
     uncertain = hazard.q.ravel()[cells] < 1  # with q = 1, visits of a persistent hazard are independent
     return cells[(robots > 1) & (hazard.threat.ravel()[cells] > 0) & (uncertain | (hazard.kind == "consumed"))]
-
-
-def _patterns(plan: Plan, hazard: Hazard, shared: NDArray[np.int64]) -> Iterator[Way]:
-    """All patterns of hazards in the shared cells, with their probabilities."""
-    chances = hazard.q.ravel()[shared].astype(np.float64)
-    for pattern in itertools.product((False, True), repeat=len(shared)):
-        there = np.array(pattern, dtype=bool)
-        q = hazard.q.copy()
-        q.ravel()[shared] = there
-        threats = [_by_hazard(robot, q, hazard.h) for robot in plan.robots]
-        yield Way(float(np.where(there, chances, 1 - chances).prod()), threats)
 
 
 # Survival of a robot on a given path among moving threats: the forward algorithm of each threat (SPEC section 16).
@@ -376,7 +331,8 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
     `S_i(c)` is the probability that robot i makes its first entry of c (`visited`), or survives it (`survived`).
     Cost: linear in the total length of the paths.
 
-    - Uncertain maps and hazards: the mean over the states of `ways`; NaN if there are too many.
+    - One of several maps: the mean over the maps; NaN for several robots on maps drawn by level.
+    - Persistent hazards: inclusion-exclusion over sets of robots (`Joint`); NaN for consumed hazards in shared cells.
     - Moving threats make robots dependent: known for one robot, on maps that are not too large (`chances_among`).
     - Phases: p of an entry is that of its step.
     - Robots that do not know the map meet the true map; NaN for a robot that would drive into an obstacle.
@@ -396,22 +352,122 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
         one = chances_among(plan.robots[0], world, plan.failure_model, waits)
         return exact_of(plan, [one], world.threat.size)
     uncertainty, plain = world.uncertainty, plan.failure_model.is_plain
-    known = (
-        ways(plan, world)
-        if plain or uncertainty is None or (isinstance(uncertainty, Uncertain) and uncertainty.whole)
-        else None
-    )
-    if known is None:
+    if isinstance(uncertainty, Hazard):
+        shared = _shared(plan, uncertainty)
+        if plain and len(shared) and uncertainty.kind == "persistent":
+            return _exact_joint(plan, uncertainty, shared) or _of_each_alone(plan, world)
+        maps = [alone(plan, world)] if plain and not len(shared) else []
+    elif isinstance(uncertainty, Uncertain) and uncertainty.whole:
+        true = map(uncertainty.threat_at, range(uncertainty.count))
+        maps = [[_entered(threat, robot) for robot in plan.robots] for threat in true]
+    else:
+        # Robots on maps drawn by level are dependent, unless none can be lost.
+        draws, alike = world.draws, plain and len(plan.robots) == 1
+        safe = plain and draws is not None and not any(draws.bound[robot.path].any() for robot in plan.robots)
+        known = draws is not None and (alike or safe)
+        maps = [alone(plan, world)] if known or uncertainty is None else []
+    if not maps:
         return _of_each_alone(plan, world)
     sums: dict[str, NDArray[np.float64]] = {}
-    for way in known:
+    for threats in maps:
         robots = [
             chances_along(robot, threat, plan.failure_model, number)
-            for number, (robot, threat) in enumerate(zip(plan.robots, way.threats, strict=True))
+            for number, (robot, threat) in enumerate(zip(plan.robots, threats, strict=True))
         ]
         found = exact_of(plan, robots, world.threat.size)
-        sums = {name: sums.get(name, 0.0) + way.chance * getattr(found, name) for name in FIELDS}
+        sums = {name: sums.get(name, 0.0) + getattr(found, name) * (1 / len(maps)) for name in FIELDS}
     return OpenLoopExact(**sums)
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """Robots on given paths among persistent hazards, `S` of whose cells several robots enter.
+
+    Attributes:
+        q, h: float64 `[S]`, probability and threat of the hazard of each shared cell.
+        own: by robot float64 `[E + 1]`, probability to survive its first e entries outside the shared cells.
+        times: by robot int64 `[E + 1, S]`, how often these entries enter each shared cell.
+    """
+
+    q: NDArray[np.float64]
+    h: NDArray[np.float64]
+    own: list[NDArray[np.float64]]
+    times: list[NDArray[np.int64]]
+
+    @classmethod
+    def of(cls, plan: Plan, hazard: Hazard, shared: NDArray[np.int64]) -> Self:
+        """The robots of a plan."""
+        elsewhere = hazard.q.copy()
+        elsewhere.ravel()[shared] = 0
+        own, times = [], []
+        for robot in plan.robots:
+            survives = 1.0 - _by_hazard(robot, elsewhere, hazard.h)
+            own.append(np.append(1.0, np.cumprod(survives)))
+            enters = robot.path[robot.entered][:, None] == shared
+            times.append(np.pad(np.cumsum(enters, axis=0), ((1, 0), (0, 0))))
+        q, h = (of.ravel()[shared].astype(np.float64) for of in (hazard.q, hazard.h))
+        return cls(q, h, own, times)
+
+    def survive(self, robots: Iterable[int], entries: Iterable[int]) -> NDArray[np.float64]:
+        """P(all robots of a set survive their first entries), float64 `[2**n]`; bit i of a set is the i-th robot.
+
+        A hazard destroys none of m entries with probability 1 - q + q (1 - h)**m, and hazards are independent.
+        """
+        total, times = np.ones(1), np.zeros((1, len(self.q)), dtype=np.int64)
+        for robot, made in zip(robots, entries, strict=True):
+            total = np.append(total, total * self.own[robot][made])
+            times = np.append(times, times + self.times[robot][made], axis=0)
+        some = times.any(axis=0)
+        return np.asarray(total * (1 - self.q[some] + self.q[some] * (1 - self.h[some]) ** times[:, some]).prod(axis=1))
+
+
+def _firsts(together: NDArray[np.float64]) -> Iterator[float]:
+    """P(the event of robot m, and of none before it), m = 0, 1, ..., from P(the events of a set of robots) `[2**n]`.
+
+    Inclusion-exclusion, a robot at a time: every difference is a probability, so none loses digits.
+    """
+    while len(together) > 1:
+        yield float(together[1])
+        together = together[::2] - together[1::2]
+
+
+def _exact_joint(plan: Plan, hazard: Hazard, shared: NDArray[np.int64]) -> OpenLoopExact | None:
+    """Exact values of robots among persistent hazards, of which they share cells; None: too many sets of robots."""
+    joint = Joint.of(plan, hazard, shared)
+    robots = [chances_along(robot, _by_hazard(robot, hazard.q, hazard.h)) for robot in plan.robots]
+    count, horizon = len(robots), 1 + max(int(robot.steps[-1]) for robot in robots)
+    who = np.concatenate([np.full(int(r.first.sum()), number) for number, r in enumerate(robots)])
+    cell, step = (np.concatenate([getattr(r, name)[r.first] for r in robots]) for name in ("cells", "steps"))
+    made = np.concatenate([np.flatnonzero(r.first) for r in robots])
+    order = np.lexsort((step, cell))
+    begins = np.append(np.flatnonzero(np.diff(cell[order], prepend=-1)), len(cell))
+    running = (np.array([r.steps[-1] for r in robots]) > np.arange(horizon)[:, None]).sum(axis=1)
+    if float((2.0 ** np.diff(begins)).sum() + (2.0**running).sum() + 2.0**count) * len(shared) > MOST_TERMS:
+        return None
+    by_cell, curves = np.zeros((2, hazard.q.size)), np.zeros((2, horizon))
+    for group in np.split(order, begins[1:-1]):
+        for entered in (0, 1):
+            gains = list(_firsts(joint.survive(who[group], made[group] + entered)))
+            by_cell[entered, cell[group[0]]] = math.fsum(gains)
+            np.add.at(curves[entered], step[group], gains)
+    exactly = joint.survive(range(count), (len(own) - 1 for own in joint.own)).reshape([2] * count)
+    for axis in range(count):
+        some, all_ = np.moveaxis(exactly, axis, 0)
+        some -= all_
+    at_most = np.ones(horizon)
+    for time in range(horizon):
+        late = [number for number, robot in enumerate(robots) if robot.steps[-1] > time]
+        entries = [int(np.searchsorted(robots[number].steps, time, "right")) for number in late]
+        at_most[time] -= math.fsum(_firsts(joint.survive(late, entries)))
+    return replace(
+        exact_of(plan, robots, hazard.q.size),
+        visited_by_cell=by_cell[0],
+        survived_by_cell=by_cell[1],
+        visited_curve=np.cumsum(curves[0]),
+        survived_curve=np.cumsum(curves[1]),
+        alive_chance=np.bincount(np.bitwise_count(np.arange(2**count)), exactly.ravel()).astype(np.float64),
+        time_chance=np.diff(at_most, prepend=0.0),
+    )
 
 
 def coverage_gradient(plan: Plan, world: World) -> NDArray[np.float64]:
