@@ -125,6 +125,10 @@ class Counts:
 def arrays(world: World, plan: Plan) -> PlanArrays:
     """The plan's paths as arrays, in O(K (E + N)). Weibull shape and hazard multipliers are those of the plan.
 
+    Args:
+        world: the plan's map, `[H, W]`.
+        plan: paths of K robots.
+
     Raises:
         PlanError: the plan is for another map, starts from a mission's state, or has robots of several types.
         WorldError: the map is not known, or its threats change, move or depend on the robot.
@@ -161,7 +165,12 @@ def stack(plans: Sequence[PlanArrays]) -> PlanArrays:
     """Plans on maps of one shape as one pytree with a leading axis, for `jax.vmap`. All padding is done here.
 
     Entries are padded up to those of the longest path, teams up to the largest one: a robot of the padding has no
-    entry, visits nothing, is never lost and is not counted as alive. Raises InputError.
+    entry, visits nothing, is never lost and is not counted as alive.
+
+    Args:
+        plans: of `arrays`.
+
+    Raises InputError for no plans, or for maps of several shapes or several Weibull shapes.
     """
     if not plans:
         raise InputError("plans: none", expected="at least one")
@@ -197,6 +206,12 @@ def survival(arrays: PlanArrays, p: ArrayLike) -> Array:
 
     `S_i(c)` of docs/spec.md, section 6, before that entry's own check: `exp(-hazard)` of the entries before it. With a
     Weibull shape below 1 the derivative at a cumulative hazard of 0 is infinite; gradients have 0 there.
+
+    Args:
+        arrays: of `arrays`.
+        p: `[H, W]`, probability that a visit destroys a robot; ignored on obstacles.
+
+    Source: paper, eq. (1).
     """
     entries = arrays.cell.shape[1]
     own = -jnp.log1p(-_probabilities(arrays, p))
@@ -518,7 +533,13 @@ def book(
 
 
 def closed_rollouts(book: Book, thresholds: ArrayLike) -> Closed:
-    """Closed-loop rollouts with these failure thresholds, uint32 `[B, K, 2]` (`thresholds`).
+    """Closed-loop rollouts with these failure thresholds.
+
+    Args:
+        book: the decisions (`book`).
+        thresholds: uint32 `[B, K, 2]`, of each robot of B rollouts, leading word first (`thresholds`).
+
+    Returns: the results; `missing` marks rollouts with a decision that the book does not have.
 
     Raises UsageError for another shape or dtype, when it is traced.
     """

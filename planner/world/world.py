@@ -504,8 +504,12 @@ class World:
     def with_maps(self, maps: Sequence[ArrayLike] | NDArray, plan_on: float | None = None) -> World:
         """The world with equally likely maps `[M, H, W]` of p, one of which is true in each run.
 
-        `plan_on`: None: robots plan on the mean, cell by cell; 0.9: on the 90 % quantile. Raises WorldError for maps
-        with other obstacles or another shape, invalid probabilities, or together with other uncertainty or robot types.
+        Args:
+            maps: float `[M, H, W]`, p; NaN = obstacle, as in the world.
+            plan_on: None: robots plan on the mean, cell by cell; 0.9: on the 90 % quantile.
+
+        Raises WorldError for maps with other obstacles or another shape, invalid probabilities, or together with other
+        uncertainty or robot types.
         """
         self._require_single_uncertainty("maps", Uncertain, "; a prior is given after the maps")
         if len(maps) == 0:
@@ -544,9 +548,13 @@ class World:
         return replace(found, notes=(*self.notes, *notes))
 
     def with_true_map(self, true_map: World | ArrayLike, sensor_range: SensorRange = 0) -> World:
-        """The world as the robots' prior map; `true_map` is p `[H, W]` of their visits, NaN = obstacle, or a world.
+        """The world as the robots' prior map, together with the true map, which destroys robots.
 
-        `sensor_range`: in cells; 0: they learn nothing, and the obstacles must be the same. Raises WorldError.
+        Args:
+            true_map: p `[H, W]`, NaN = obstacle, or a world.
+            sensor_range: in cells, or `{range, sight}`; 0: robots learn nothing, and the obstacles must be the same.
+
+        Raises WorldError for other obstacles than a sensor can find, or together with another uncertainty.
         """
         for one in (self, true_map):
             other = (one.uncertainty or one.knowledge) if isinstance(one, World) else None
@@ -558,8 +566,14 @@ class World:
     def with_prior_map(self, p: float, obstacles: Obstacles = "unknown", sensor_range: SensorRange = 0) -> World:
         """The world as the true map of robots whose prior map has every cell free, with threat p.
 
-        `obstacles="known"`: the prior map has the obstacles. With `with_maps` the true map is the drawn one. Raises
-        WorldError.
+        With `with_maps` the true map is the drawn one.
+
+        Args:
+            p: probability that a visit destroys the robot, as robots assume until they see a cell.
+            obstacles: "known": the prior map has the obstacles; "unknown": robots find them.
+            sensor_range: as in `with_true_map`.
+
+        Raises WorldError for an invalid p, or together with another uncertainty.
         """
         check_word("obstacles", obstacles, OBSTACLES, WorldError, self.source)
         PROBABILITY.check("prior_map", p, WorldError, self.source)
@@ -567,9 +581,13 @@ class World:
         return self._with_knowledge(np.where(known, np.nan, p).astype(np.float32), self.met, sensor_range)
 
     def with_sensor_range(self, sensor_range: SensorRange) -> World:
-        """The world with other sensors, of robots without a known map. Raises WorldError.
+        """The world with other sensors, of robots without a known map.
 
-        With learned hazards: a detector, `{range, sight, detect, false_alarm}`.
+        Args:
+            sensor_range: in cells, or `{range, sight}`; with learned hazards a detector, `{range, sight, detect,
+                false_alarm}`.
+
+        Raises WorldError for a known map.
         """
         if self.learned_hazard is not None:
             detector = make_detector(sensor_range, self.source)
@@ -690,7 +708,14 @@ class World:
         return html_of(f"World {self.source}", self._rows())
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
-        """Write the world file (`.npz`) of SPEC section 9 atomically; `force` as in `Plan.save`."""
+        """Write the world file (`.npz`) of SPEC section 9 atomically.
+
+        Args:
+            path: of the file.
+            force: replace an existing file.
+
+        Raises UsageError if the file exists and `force` is not given.
+        """
         check_new(path, force=force)
         with atomic_write(Path(path), "wb") as out:
             out.write(self.to_bytes())
