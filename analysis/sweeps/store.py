@@ -54,6 +54,7 @@ CREATE TABLE blocks (
 
 
 A_STORE = "a store (`mrac-jax sweep` makes one)"
+SAVE = "save the intact runs: mrac-jax results NEW --merge THIS"
 ROOM = "free disk space and run the same command again: the previous content is intact"
 ERRORS: tuple[tuple[Any, str, str, str], ...] = (
     ("SQLITE_NOTADB", "is not a store", A_STORE, ""),
@@ -197,9 +198,8 @@ def _store_errors(path: Path | None, *, write: bool = True) -> Iterator[None]:
 
 def damaged(path: Path | None, what: str) -> StoreError:
     """The error for a store whose bytes have changed."""
-    fix = "save the intact runs: mrac-jax results NEW --merge THIS"
     what = " ".join(what.split())[:120]
-    return StoreError(f"is damaged ({what})", source=printable(path) if path else "store", fix=fix)
+    return StoreError(f"is damaged ({what})", source=printable(path or "store"), fix=SAVE)
 
 
 def checksum(*parts: object) -> int:
@@ -263,7 +263,7 @@ class Store:
             try:
                 connection = open_file(Path(path), write=False, whole=False)
             except StoreError as again:
-                fix = "take an older copy, or run the sweep again into another store"
+                fix = again.fix.replace(SAVE, "take an older copy, or run the sweep again into another store")
                 raise StoreError(again.problem, source=again.source, expected=again.expected, fix=fix) from error
             return cls(connection, Path(path), f"{error.source}: {error.problem}")
 
