@@ -89,9 +89,9 @@ def test_a_scheduler_that_asks_for_a_key(tmp_path: Path) -> None:
 
 def test_tls_without_keys_says_what_is_missing(tmp_path: Path) -> None:
     none = str(tmp_path / "none.pem")
-    for files in (key_files(None, None, None), key_files(none, none, none)):
-        said = pytest.raises(UsageError, match=r"tls://127.0.0.1:9: (no key|.*No such file).*client.key")
-        with dask.config.set(files), Store() as store, said:
+    for files, said in ((key_files(None, None, None), "TLS"), (key_files(none, none, none), "No such file")):
+        told = pytest.raises(UsageError, match=rf"tls://127.0.0.1:9: no scheduler .*{said}.*client.key")
+        with dask.config.set(files), Store() as store, told:
             run_cases(jobs_of(), store, scheduler="tls://127.0.0.1:9")
 
 
