@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from pool_tasks import ENDS_WITH_US
-from test_pool import below, none_left
+from test_pool import none_left, two_below
 
 from analysis.sweeps.store import Store
 from analysis.utils.progress import run_loop
@@ -153,15 +153,6 @@ def listening(pids: list[int]) -> set[str]:
         if words[3] == "00010000":  # takes calls
             waiting.add(f"socket:[{words[6]}]")
     return mine & waiting
-
-
-def two_below(parent: int) -> list[int]:
-    """The two processes of this parent, as soon as there are two."""
-    patience = time.monotonic() + 60
-    while len(children := below(parent)) < 2 and time.monotonic() < patience:
-        time.sleep(0.02)
-    assert len(children) == 2
-    return children
 
 
 @pytest.mark.parametrize(("times", "span"), [(1, 1.0), pytest.param(100, 5.0, marks=pytest.mark.slow)])

@@ -1,4 +1,4 @@
-"""The pool of processes: killed, stopped and interrupted at random moments it loses nothing and never hangs."""
+"""The pool of processes: killed and interrupted at random moments it loses nothing and never hangs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -21,7 +22,6 @@ from analysis.utils.pool import Pool
 from planner.errors import UsageError
 
 SIZES = (3_000, 30_000, 300_000)
-MOMENTS = ("busy", "starting", "idle", "closing")
 FOLDER = Path(__file__).parent
 
 
@@ -32,6 +32,19 @@ def in_time() -> Iterator[None]:
     timer.start()
     yield
     timer.cancel()
+
+
+def below(parent: int) -> list[int]:
+    """Processes of this parent, whichever of its threads began them (Linux)."""
+    found = list[int]()
+    for one in Path(f"/proc/{parent}/task").glob("*/children"):
+        with suppress(OSError):  # the thread has ended
+            found += map(int, one.read_text().split())
+    return found
+
+
+def workers() -> list[int]:
+    return below(os.getpid())
 
 
 def kill(pid: int, number: int = signal.SIGKILL) -> bool:
@@ -45,23 +58,23 @@ def kill(pid: int, number: int = signal.SIGKILL) -> bool:
 class Killer:
     """Kills a process of a pool, from another thread where the moment is one of the pool's own."""
 
-    def __init__(self, processes: Callable[[], list[int]], draw: random.Random) -> None:
-        self.processes, self.draw, self.kills = processes, draw, 0
+    def __init__(self, draw: random.Random) -> None:
+        self.draw, self.kills = draw, 0
         self.thread: threading.Thread | None = None
 
     def now(self) -> None:
-        found = self.processes()
+        found = workers()
         self.kills += bool(found) and kill(self.draw.choice(found))
 
     def soon(self, moment: str) -> None:
         """At a random moment of the next tasks: any, or a few milliseconds after a process was begun."""
-        self.thread = threading.Thread(target=self._soon, args=(moment, set(self.processes())))
+        self.thread = threading.Thread(target=self._soon, args=(moment, set(workers())))
         self.thread.start()
 
     def _soon(self, moment: str, known: set[int]) -> None:
         if moment == "starting":
             patience = time.monotonic() + 5
-            while not (begun := set(self.processes()) - known) and time.monotonic() < patience:
+            while not (begun := set(workers()) - known) and time.monotonic() < patience:
                 time.sleep(0.0005)
             time.sleep(self.draw.uniform(0, 0.05))
             self.kills += sum(kill(pid) for pid in begun)
@@ -80,36 +93,32 @@ def test_kills_at_random_moments(kills: int, seed: int) -> None:
     """Rounds of tasks, each with a kill; every answer comes once, and is the right one. A fourth are of the ends."""
     draw, done, rounds = random.Random(seed), 0, 0
     while done < kills:
-        size = SIZES[rounds % 3]
+        size, killer = SIZES[rounds % 3], Killer(draw)
         rounds += 1
-        with Pool(partial(pool_tasks.answer, size), 2) as workers:
-            killer = Killer(workers.processes, draw)
-            for moment in MOMENTS[:3]:
-                if moment == "starting":
-                    killer.now()  # so that the next task begins a process
-                if moment == "idle":
-                    killer.now()
-                else:
+        with Pool(partial(pool_tasks.answer, size), 2) as running:
+            for moment in ("busy", "starting", "idle"):
+                if moment != "busy":
+                    killer.now()  # before the next task, which begins a process
+                if moment != "idle":
                     killer.soon(moment)
                 tasks = [draw.randrange(10**9) for _ in range(8)]
-                found = list(workers.run(tasks))
+                found = list(running.run(tasks))
                 killer.wait()
                 assert sorted(task for task, _ in found) == sorted(tasks)
                 assert all(made == pool_tasks.answer(size, task) for task, made in found)
             killer.soon("closing")
         killer.wait()
-        assert not workers.processes()
+        assert not workers()
         done += killer.kills
 
 
-def test_half_an_answer_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A process that is stopped in the middle of a long answer, and then killed: what hung the pool of the library."""
-    monkeypatch.setattr(pool, "LOOK_SECONDS", 0.1)
-    with Pool(partial(pool_tasks.answer, 5_000_000), 2) as workers:
-        answers = workers.run(range(6))
+def test_half_an_answer_is_no_answer() -> None:
+    """A process that is stopped in the middle of a long answer, and then killed: what hangs the pool of the library."""
+    with Pool(partial(pool_tasks.answer, 5_000_000), 2) as running:
+        answers = running.run(range(6))
         first = [next(answers)]
         for _ in range(3):
-            pid = workers.processes()[0]
+            pid = workers()[0]
             kill(pid, signal.SIGSTOP)
             first.append(next(answers))  # the other's
             kill(pid)
@@ -117,51 +126,25 @@ def test_half_an_answer_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
         assert sorted(task for task, _ in found) == list(range(6))
 
 
-def test_a_stopped_process_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(pool, "LOOK_SECONDS", 0.1)
-    with Pool(pool_tasks.pause, 1) as workers:
-        assert list(workers.run([0.0])) == [(0.0, 0.0)]
-        (pid,) = workers.processes()
-        kill(pid, signal.SIGSTOP)
-        wake = threading.Timer(1.0, kill, (pid, signal.SIGCONT))
-        wake.start()
-        assert list(workers.run([0.01])) == [(0.01, 0.01)]
-        said = capsys.readouterr().err
-        assert said.count("\n") == 1 and f"worker process {pid} is stopped" in said and f"kill -CONT {pid}" in said
-        assert list(workers.run([0.3])) == [(0.3, 0.3)]  # it goes on: nothing is said of it
-        assert capsys.readouterr().err == ""
-        kill(pid, signal.SIGSTOP)
-        threading.Timer(0.5, kill, (pid,)).start()  # killed instead: another takes the task
-        assert list(workers.run([0.02])) == [(0.02, 0.02)]
-        assert f"worker process {pid} is stopped" in capsys.readouterr().err
-
-
-def test_a_task_that_ends_its_process_is_an_error() -> None:
-    with Pool(pool_tasks.die, 2, name=lambda number: f"case {number}") as workers:
-        assert sorted(workers.run([2, 4])) == [(2, None), (4, None)]
-        with pytest.raises(UsageError, match=r"killed 4 times at case 7; use fewer processes"):
-            list(workers.run([2, 7, 4]))
-        assert sorted(workers.run([8, 10])) == [(8, None), (10, None)]
-
-
-def test_processes_that_cannot_start_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool, "MOST_STARTS", 3)
+def test_a_task_that_ends_its_process_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    with Pool(pool_tasks.die, 2, name=lambda number: f"case {number}") as running:
+        assert sorted(running.run([2, 4])) == [(2, None), (4, None)]
+        with pytest.raises(UsageError, match=r"4 processes ended at case 7; use fewer processes"):
+            list(running.run([2, 7, 4]))
+        assert sorted(running.run([8, 10])) == [(8, None), (10, None)]
     monkeypatch.setattr(pool, "BEGIN", "raise SystemExit({})")
-    with Pool(pool_tasks.pause, 2) as workers, pytest.raises(UsageError, match="3 processes ended before"):
-        list(workers.run([0.1]))
+    with Pool(pool_tasks.die, 2) as running, pytest.raises(UsageError, match="4 processes ended at 2"):
+        list(running.run([2]))
 
 
 def test_errors_and_answers_that_cannot_be_pickled() -> None:
-    with Pool(pool_tasks.fail, 1) as workers:
+    with Pool(pool_tasks.fail, 1) as running:
         with pytest.raises(ValueError, match="no zero") as caught:
-            list(workers.run([0]))
+            list(running.run([0]))
         assert "in a worker process" in caught.value.__notes__[0]
-        with pytest.raises(Exception, match=r"Odd|more"):
-            list(workers.run([1]))
-        with pytest.raises(Exception, match="lambda"):
-            list(workers.run([2]))
-        with pytest.raises(Exception, match="pickle"):
-            list(workers.run([lambda: 3]))  # type: ignore[list-item]
+        for task, said in ((1, r"Odd|more"), (2, "lambda"), (lambda: 3, "pickle")):
+            with pytest.raises(Exception, match=said):
+                list(running.run([task]))  # type: ignore[list-item]
 
 
 SCRIPT = """
@@ -171,9 +154,9 @@ import pool_tasks
 from analysis.utils.pool import Pool
 print("begun", flush=True)
 try:
-    with Pool(pool_tasks.{function}, 2) as workers:
+    with Pool(pool_tasks.{function}, 2) as running:
         print("open", flush=True)
-        for task in workers.run([{task}] * 50):
+        for task in running.run([{task}] * 50):
             pass
 except KeyboardInterrupt:
     print("interrupted", flush=True)
@@ -192,9 +175,13 @@ def begin(function: str, task: object) -> subprocess.Popen[str]:
     return running
 
 
-def below(parent: int) -> list[int]:
-    """Processes of this parent."""
-    return [int(pid) for pid in subprocess.run(["pgrep", "-P", str(parent)], capture_output=True).stdout.split()]
+def two_below(parent: int) -> list[int]:
+    """The two processes of this parent, as soon as there are two."""
+    patience = time.monotonic() + 60
+    while len(children := below(parent)) < 2 and time.monotonic() < patience:
+        time.sleep(0.01)
+    assert len(children) == 2
+    return children
 
 
 def none_left(pids: list[int], seconds: float) -> bool:
@@ -219,11 +206,8 @@ def test_ctrl_c_ends_it_whatever_the_tasks_are(numbers: range, seed: int, span: 
         if number % 4 > 1:
             time.sleep(draw.uniform(0, 0.02))
             kill(running.pid, signal.SIGINT)
-        running.wait(60)
+        said = running.communicate(timeout=60)[0]
         assert time.monotonic() - clock < 5  # measured: 0.1 s on a quiet machine
-        assert running.stdout is not None
-        said = running.stdout.read()
-        running.stdout.close()
         assert said == "interrupted\n" or number % 4 > 1, said
         assert none_left(children, 5)
 
@@ -231,12 +215,8 @@ def test_ctrl_c_ends_it_whatever_the_tasks_are(numbers: range, seed: int, span: 
 @pytest.mark.parametrize("function", ["spin", pytest.param("pause", marks=pytest.mark.slow)])
 def test_no_process_outlives_a_parent_that_is_killed(function: str) -> None:
     running = begin(function, 99999)
-    patience = time.monotonic() + 30
-    while len(children := below(running.pid)) < 2 and time.monotonic() < patience:
-        time.sleep(0.01)
+    children = two_below(running.pid)
     time.sleep(0.3)
     running.kill()
-    running.wait()
-    assert running.stdout is not None
-    running.stdout.close()
-    assert len(children) == 2 and none_left(children, 10)
+    running.communicate()
+    assert none_left(children, 10)

@@ -48,7 +48,7 @@ from analysis.sweeps.results import (
     single_over,
 )
 from analysis.sweeps.spec import read_spec
-from analysis.sweeps.store import Memory, Run, Store
+from analysis.sweeps.store import Run, Store
 from analysis.sweeps.sweep import Sweep, run_sweep
 from planner.errors import PER_VISIT, InputError, ScenarioError, UsageError
 from planner.make_plan import make_plan
@@ -114,7 +114,7 @@ def test_the_policies_of_a_sweep(tmp_path: Path, base: str, swept: str, policies
 def test_a_sweep_is_the_mean_of_map_means(tmp_path: Path, processes: int) -> None:
     """Against a plain calculation from the tallies; again, and in 2 processes, to the last bit."""
     spec, standing = read_spec(spec_file(tmp_path)), list[tuple[int, int, float, str]]()
-    with Memory() as store:
+    with Store() as store:
         answer = run_sweep(spec, store, processes=1, watch=lambda *now: standing.append(now))
         places, columns = Places(), []
         for job in spec.jobs():
@@ -140,7 +140,7 @@ def test_a_sweep_is_the_mean_of_map_means(tmp_path: Path, processes: int) -> Non
         widest = answer.widest_row
         assert widest is not None and widest.estimate("visited").half_width == answer.widest
         assert answer.within_share == widest.within_share and 0 < (widest.within_share or 0) < 1
-    with Memory() as store:
+    with Store() as store:
         again = run_sweep(spec, store, processes=processes)
         for mine, other in zip(again.rows, answer.rows, strict=True):
             for one, two in ((mine.moments, other.moments), (mine.apart, other.apart)):
@@ -157,11 +157,11 @@ sweep: {robots: [2, 3], policy: [mrac, per_cell]}
 
 def test_rows_are_put_right_by_what_all_maps_tell_of_luck(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Against least squares over all single rollouts, with a level for each map; differences too, also of two teams."""
-    with Memory() as store:
+    with Store() as store:
         answer = run_sweep(read_spec(spec_file(tmp_path, CONTROLLED)), store, processes=1)
         again = collect(store, {}).rows
         with monkeypatch.context() as patch:  # whoever finished first
-            patch.setattr(Memory, "runs", lambda self, runs=Memory.runs: iter(list(runs(self))[::-1]))
+            patch.setattr(Store, "runs", lambda self, runs=Store.runs: iter(list(runs(self))[::-1]))
             for mine, other in zip(collect(store, {}).rows, again, strict=True):
                 assert all(map(np.array_equal, vars(mine.moments).values(), vars(other.moments).values()))
     levels, means = np.repeat(np.eye(6), 200, axis=0), []
@@ -226,7 +226,7 @@ def test_moments_against_numpy() -> None:
 def test_alike_on_every_map_is_no_proof(tmp_path: Path) -> None:
     """Maps without threats or obstacles: times and losses are the same on all three; others may have other ones."""
     text = "base: {kind: contiguous, size: 4x5, ratio: 0, obstacles: 0}\nmaps: 3\nrollouts: 4\nsweep: {robots: [1, 2]}"
-    with Memory() as store:
+    with Store() as store:
         one, two = run_sweep(read_spec(spec_file(tmp_path, text)), store, processes=1).rows
     for figure, most in (("alive", 2), ("time", 8 * 1 * 20 + 64)):
         found, reach = two.estimate(figure), two.reach(figure)
@@ -254,7 +254,7 @@ def test_intervals_over_maps_hold_as_often_as_they_say(trials: int) -> None:
 
 def test_precision_takes_more_maps(tmp_path: Path) -> None:
     text = SPEC.replace("maps: 5", "maps: 4").replace("rollouts: 40", "rollouts: 20")
-    with Memory() as store:
+    with Store() as store:
         spec = read_spec(spec_file(tmp_path, text))
         precision = 0.6 * run_sweep(spec, store, processes=1).widest
         answer = run_sweep(spec, store, processes=1, precision=precision)
@@ -270,7 +270,7 @@ def test_precision_on_one_map_takes_more_rollouts(tmp_path: Path) -> None:
     random_world(7, 9, ThreatPattern(seed=4)).save(tmp_path / "world.npz")
     spec = read_spec(spec_file(tmp_path, "base: {input: world.npz}\nrollouts: 50\nsweep: {robots: [1, 2]}"))
     assert spec.maps is None
-    with Memory() as store:
+    with Store() as store:
         answer = run_sweep(spec, store, processes=1, precision=0.01)
         assert answer.reached and answer.rows[0].rollouts == 4096
         (found, _) = store.runs()
@@ -283,7 +283,7 @@ def test_one_generated_map_says_as_much_as_a_map_that_is_given(tmp_path: Path, r
     """What was sampled is not said to be exact; `precision` takes more maps, whatever the first one says."""
     text = f"base: {{size: 6x6, robots: 1, ratio: 0.3}}\nmaps: 1\nrollouts: {rollouts}\n"
     spec = read_spec(spec_file(tmp_path, text))
-    with Memory() as store:
+    with Store() as store:
         answer = run_sweep(spec, store, processes=1)
         (row,), (found,) = answer.rows, store.runs()
         tally = store.tally(found.key)
@@ -313,7 +313,7 @@ def test_the_unit_stands_with_the_mean() -> None:
 def test_no_collapse_on_one_map_where_every_rollout_is_the_same(tmp_path: Path) -> None:
     random_world(5, 5, ThreatPattern(seed=4), threats=0.0).save(tmp_path / "world.npz")
     spec = read_spec(spec_file(tmp_path, "base: {input: world.npz, robots: 1}\nrollouts: 100"))
-    with Memory() as store:
+    with Store() as store:
         found = run_sweep(spec, store, processes=1).rows[0].estimate("visited")
         assert found.mean == 1 and found.ci95[0] == pytest.approx(1 + math.log(0.025) / 100)
 
@@ -342,7 +342,7 @@ sweep:
     (tmp_path / "danger.yaml").write_text(json.dumps(danger))
     spec = read_spec(spec_file(tmp_path, text))
     assert all(isinstance(job.case.world, Written) for job in spec.jobs())
-    with Memory() as store:
+    with Store() as store:
         rows = run_sweep(spec, store, processes=1).rows
         assert [row.labels["threats[0].generate.levels"] for row in rows] == ["[0.1]", "[0.3]"] * 2
         assert len({run_.facts["world"] for run_ in store.runs()}) == 12
@@ -353,7 +353,7 @@ sweep:
     make_plan(dangerous, starts).save(tmp_path / "ours.json")
     (tmp_path / "theirs.json").write_text(json.dumps({"paths": [[starts[0].tolist()]]}))
     text = "base: {input: world.npz, loop: open}\nrollouts: 20\nsweep: {plan: [ours.json, theirs.json]}"
-    with Memory() as store:
+    with Store() as store:
         rows = run_sweep(read_spec(spec_file(tmp_path, text)), store, processes=1).rows
         assert [row.labels["plan"] for row in rows] == ["ours.json", "theirs.json"]
         assert rows[0].estimate("visited").mean > rows[1].estimate("visited").mean
@@ -362,12 +362,12 @@ sweep:
                  "robots": [{"cell": cell, "exposure": borne} for cell in starts.tolist()]}  # fmt: skip
         (tmp_path / "state.json").write_text(json.dumps(state))
         mrac.plan(dangerous, state=tmp_path / "state.json", weibull_shape=3.0).save(tmp_path / f"{name}.json")
-    with Memory() as store:
+    with Store() as store:
         states = text.replace("ours.json, theirs.json", "fresh.json, worn.json").replace("open", "closed")
         fresh, worn = run_sweep(read_spec(spec_file(tmp_path, states)), store, processes=1).rows
         assert len(store) == 2 and fresh.estimate("visited").mean > worn.estimate("visited").mean
     closed = text.replace("loop: open", "loop: closed")
-    with Memory() as store:
+    with Store() as store:
         taken_over = run_sweep(read_spec(spec_file(tmp_path, closed)), store, processes=1).rows
         assert taken_over[1].estimate("visited").mean > rows[1].estimate("visited").mean
 
@@ -381,7 +381,7 @@ base: {input: world.npz, robots: 2, plan_for: open_loop, effort: 200}
 rollouts: 200
 sweep: {loop: [open, closed]}
 """
-    with Memory() as store:
+    with Store() as store:
         rows = run_sweep(read_spec(spec_file(tmp_path, text)), store, processes=1).rows
     means = [row.estimate("visited").mean for row in rows]
     plan = mrac.plan(world, robots=2, plan_for="open_loop", effort=200)
@@ -550,7 +550,7 @@ def test_interrupted_sweep_says_what_was_done(
 
 
 def test_figures_of_a_run_are_those_of_its_tally(tmp_path: Path) -> None:
-    with Memory() as store:
+    with Store() as store:
         run_cases([next(read_spec(spec_file(tmp_path)).jobs())], store, processes=1)
         found = next(store.runs())
         tally = store.tally(found.key)
@@ -583,7 +583,7 @@ def swept(folder: Path, text: str, store: Store) -> None:
 
 def test_a_row_counts_a_map_once(tmp_path: Path) -> None:
     """Against a plain calculation: settings averaged on each map, then Student's interval over the maps."""
-    with Memory() as store:
+    with Store() as store:
         swept(tmp_path, SPEC_POOLED, store)
         found = collect(store, {}, ["robots"])
         assert [row.maps for row in found.rows] == [4, 4] and [row.rollouts for row in found.rows] == [240, 240]
@@ -636,7 +636,7 @@ base: {input: danger.yaml}
 rollouts: 20
 sweep: {ratio: [0.1, 0.3], "threats[0].generate.levels": [[0.1], [0.3]], seed: [1, 2, 3]}
 """
-    with Memory() as store:
+    with Store() as store:
         swept(tmp_path, text, store)
         assert len({each.facts["world"] for each in store.runs()}) == 4 and len(store) == 12
         assert {map_of(each) for each in store.runs()} == {("input", "danger.yaml")}
@@ -649,7 +649,7 @@ def test_inputs_are_maps(tmp_path: Path) -> None:
     for number in range(3):
         random_world(6, 8, ThreatPattern(seed=number)).save(tmp_path / f"{number}.npz")
     text = "base: {robots: 1}\nrollouts: 20\nsweep: {input: [0.npz, 1.npz, 2.npz], risk: [paper, log]}"
-    with Memory() as store:
+    with Store() as store:
         swept(tmp_path, text, store)
         (row,) = collect(store, {}, ["robots"]).rows
         assert (row.maps, row.rollouts) == (3, 120)
@@ -660,7 +660,7 @@ def test_inputs_are_maps(tmp_path: Path) -> None:
 
 def test_maps_that_lack_a_setting_are_left_out(tmp_path: Path) -> None:
     less = SPEC_POOLED.replace("maps: 4", "maps: 7").replace("[paper, log]", "[log]")
-    with Memory() as store:
+    with Store() as store:
         swept(tmp_path, SPEC_POOLED, store)
         swept(tmp_path, less, store)
         found = collect(store, {}, ["robots"])
@@ -674,7 +674,7 @@ def test_maps_that_lack_a_setting_are_left_out(tmp_path: Path) -> None:
 def apart(store: Store) -> Store:
     """The same, but the maps of odd seeds have one risk and those of even seeds the other."""
 
-    class Half(Memory):
+    class Half(Store):
         def runs(self):  # type: ignore[no-untyped-def]
             return (each for each in store.runs() if (each.what["risk"] == "log") == (each.what["map"] in (1, 3)))
 
@@ -785,7 +785,7 @@ def test_intervals_over_maps_hold_with_the_control(tmp_path: Path, kind: str, ro
     """300 samples of 60 maps drawn of 1,500: each figure of a row, and its difference from another policy, holds the
     mean of all as often as it says (3 standard errors below .95); the control halves what noise the rollouts leave."""
     text = f"base: {{kind: {kind}, robots: {robots}, size: 12x14}}\nmaps: {MAPS}\nrollouts: {rollouts}\n"
-    with Memory() as store:
+    with Store() as store:
         swept(tmp_path, text + "sweep: {policy: [mrac, per_cell]}", store)
         found: dict[tuple[str, int], tuple[np.ndarray, np.ndarray]] = {
             (str(each.what["policy"]), int(each.what["map"] or 0)): figures_of(each) for each in store.runs()

@@ -19,7 +19,7 @@ from test_sweeps_engine import contents, jobs_of, swept
 import mrac_jax as mrac
 from analysis.sweeps import cases as cluster
 from analysis.sweeps.engine import Done, run_cases
-from analysis.sweeps.store import Memory
+from analysis.sweeps.store import Store
 from planner.errors import UsageError
 
 dask = pytest.importorskip("dask")
@@ -78,10 +78,10 @@ def test_a_scheduler_that_asks_for_a_key(tmp_path: Path) -> None:
     subprocess.run([*make, *names], check=True, capture_output=True)
     address, running = begin_cluster("tls", "--tls-ca-file", cert, "--tls-cert", cert, "--tls-key", key)
     try:
-        with dask.config.set(key_files(cert, cert, key)), Memory() as store:
+        with dask.config.set(key_files(cert, cert, key)), Store() as store:
             run_cases(jobs_of(maps=2), store, scheduler=address)
             assert contents(store) == swept(jobs_of(maps=2), processes=1)
-        with Memory() as store, pytest.raises(UsageError, match="no scheduler responds"):
+        with Store() as store, pytest.raises(UsageError, match="no scheduler responds"):
             run_cases(jobs_of(), store, scheduler=address.replace("tls", "tcp"))
     finally:
         end_cluster(running)
@@ -89,9 +89,9 @@ def test_a_scheduler_that_asks_for_a_key(tmp_path: Path) -> None:
 
 def test_tls_without_keys_says_what_is_missing(tmp_path: Path) -> None:
     none = str(tmp_path / "none.pem")
-    for files in (key_files(None, None, None), key_files(none, none, none)):
-        said = pytest.raises(UsageError, match=r"tls://127.0.0.1:9: (no key|.*No such file).*client.key")
-        with dask.config.set(files), Memory() as store, said:
+    for files, said in ((key_files(None, None, None), "TLS"), (key_files(none, none, none), "No such file")):
+        told = pytest.raises(UsageError, match=rf"tls://127.0.0.1:9: no scheduler .*{said}.*client.key")
+        with dask.config.set(files), Store() as store, told:
             run_cases(jobs_of(), store, scheduler="tls://127.0.0.1:9")
 
 
@@ -100,17 +100,17 @@ def test_a_scheduler_and_its_worker_in_this_process() -> None:
         n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=None
     )
     right = swept(jobs_of(maps=2), processes=1)
-    with local, Memory() as store:
+    with local, Store() as store:
         run_cases(jobs_of(maps=2), store, scheduler=local.scheduler_address)
         assert contents(store) == right
         client = distributed.Client(local, set_as_default=False)
         for _ in range(2):  # it stays open
-            with Memory() as store:
+            with Store() as store:
                 run_cases(jobs_of(maps=2), store, scheduler=client)
                 assert contents(store) == right
         client.close()
         for wrong in (client, 3):
-            with Memory() as store, pytest.raises(UsageError, match="expected the address of a dask scheduler, or a"):
+            with Store() as store, pytest.raises(UsageError, match="expected the address of a dask scheduler, or a"):
                 run_cases(jobs_of(maps=2), store, scheduler=wrong)
 
 
@@ -146,7 +146,7 @@ def test_a_scheduler_elsewhere(scheduler: tuple[str, list[subprocess.Popen[bytes
         if step.jobs == 3:
             running[1].kill()
 
-    with Memory() as store:
+    with Store() as store:
         run_cases(jobs_of(maps=12), store, scheduler=address, progress=kill_worker)
         assert contents(store) == right
 
@@ -154,7 +154,7 @@ def test_a_scheduler_elsewhere(scheduler: tuple[str, list[subprocess.Popen[bytes
         if step.jobs == 3:
             running[0].kill()
 
-    with Memory() as store:
+    with Store() as store:
         with pytest.raises(UsageError, match=r"was lost.*run the same command again"):
             run_cases(jobs_of(maps=40), store, scheduler=address, progress=kill_scheduler)
         assert len(store) >= 9
@@ -170,6 +170,6 @@ def test_no_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
         addresses = [f"tcp://127.0.0.1:{silent.getsockname()[1]}", "tcp://127.0.0.1:9", "no address at all"]
         for address in addresses:
             clock = time.monotonic()
-            with Memory() as store, pytest.raises(UsageError, match=r"^scheduler .*(no scheduler|an address)"):
+            with Store() as store, pytest.raises(UsageError, match=r"^scheduler .*(no scheduler|an address)"):
                 run_cases(jobs_of(), store, scheduler=address)
             assert time.monotonic() - clock < 4

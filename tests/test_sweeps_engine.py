@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pool_tasks import ENDS_WITH_US
+from test_pool import below, kill
 from test_sweeps_store import blocks_of
 
 from analysis.sampling import RolloutChoices
@@ -22,7 +23,7 @@ from analysis.sweeps import cases as tasks
 from analysis.sweeps import engine
 from analysis.sweeps.cases import Case, Generated, Places, generated_case, run_key, run_task
 from analysis.sweeps.engine import Done, Job, run_cases, share_of
-from analysis.sweeps.store import Memory, Store
+from analysis.sweeps.store import Store
 from analysis.sweeps.store_files import cut
 from planner.arguments import BLOCK
 from planner.errors import InputError, UsageError
@@ -63,7 +64,7 @@ def contents(store: Store) -> dict[str, tuple[Any, Tally | None]]:
 
 
 def swept(jobs: Iterator[Job], **where: Any) -> dict[str, tuple[Any, Tally | None]]:
-    with Memory() as store:
+    with Store() as store:
         run_cases(jobs, store, **where)
         return contents(store)
 
@@ -71,7 +72,7 @@ def swept(jobs: Iterator[Job], **where: Any) -> dict[str, tuple[Any, Tally | Non
 def test_counts_are_those_of_the_engines() -> None:
     case = generated_case("scattered", 0.3, 3, 2, (8, 11))
     world, plan = build(case)
-    with Memory() as store:
+    with Store() as store:
         run_cases([Job(case, MODELS, 50)], store, processes=1)
         keys = [run_key(Places().team(case), model) for model in MODELS]
         closed, first = (counted(compile_closed_loop(plan, world, first_only=only), 50) for only in (False, True))
@@ -100,7 +101,7 @@ def test_settings_of_a_team_share_its_areas_and_no_result_depends_on_that() -> N
     ]  # fmt: skip
     cases = [generated_case("scattered", 0.3, 4, seed, (8, 11), choices=one) for seed in range(2) for one in asked]
     before = tasks._allocated.cache_info().misses
-    with Memory() as store:
+    with Store() as store:
         run_cases([Job(case, MODELS[:1], 40) for case in cases], store, processes=1)
         assert tasks._allocated.cache_info().misses - before == 2 * 4
         for case in cases:
@@ -124,7 +125,7 @@ def test_ids_are_split_into_blocks() -> None:
     small, large = (Places().team(Case(Generated(size=(side, side)))) for side in (20, 300))
     assert share_of(small) == 4 * BLOCK and 64 <= share_of(large) < BLOCK
     case = generated_case(robots=1, seed=1, size=(4, 5))
-    with Memory() as store:
+    with Store() as store:
         run_cases([Job(case, MODELS[:1], 2 * BLOCK + 5)], store, processes=1)
         assert blocks_of(store) == [BLOCK, BLOCK, 5]
 
@@ -144,13 +145,13 @@ def test_resuming_and_a_bigger_run_that_reuses_the_smaller(tmp_path: Path) -> No
 
 def test_bad_input_names_the_case() -> None:
     for robots in (0, 5000):
-        with Memory() as store, pytest.raises(InputError, match=rf"ratio=0.3 robots={robots} map=7.*expected"):
+        with Store() as store, pytest.raises(InputError, match=rf"ratio=0.3 robots={robots} map=7.*expected"):
             run_cases([Job(generated_case(ratio=0.3, robots=robots, seed=7), MODELS, 5)], store, processes=1)
     bad = generated_case(robots=2, choices=Choices(density=0.5))
-    with Memory() as store, pytest.raises(InputError, match=r"robots=2 map=0.*density"):
+    with Store() as store, pytest.raises(InputError, match=r"robots=2 map=0.*density"):
         run_cases([Job(bad, MODELS, 5)], store, processes=2)
     for wrong in ({"processes": 0}, {"processes": 2, "scheduler": "tcp://host:1"}):
-        with Memory() as store, pytest.raises(UsageError):
+        with Store() as store, pytest.raises(UsageError):
             run_cases(jobs_of(), store, **wrong)
     with pytest.raises(UsageError):
         Job(generated_case(), MODELS, 0)
@@ -166,7 +167,7 @@ def test_a_team_is_made_once_a_job_and_as_before_where_the_rules_differ(monkeypa
     monkeypatch.setattr(Places, "_team", counted_team)
     for choices, names in ((Choices(), ["<lambda>"]), (Choices(return_to="home"), ["<lambda>", *["as_before"] * 2])):
         made.clear()
-        with Memory() as store:
+        with Store() as store:
             run_cases([Job(generated_case(ratio=0.3, size=(4, 4), choices=choices), MODELS[:2], 2)], store, processes=1)
         assert made == names
 
@@ -176,7 +177,7 @@ def test_interrupted_and_gone_on_with() -> None:
         if step.jobs == 3:
             raise KeyboardInterrupt
 
-    with Memory() as store:
+    with Store() as store:
         first = run_cases(jobs_of(), store, processes=1, progress=stop)
         assert first.partial and len(store) == 9
         assert run_cases(jobs_of(), store, processes=1).reused == 9 * 30
@@ -186,7 +187,7 @@ def test_interrupted_and_gone_on_with() -> None:
 def test_parts_that_another_process_ran_meanwhile_are_run_again() -> None:
     case = generated_case(robots=1, seed=1, size=(4, 5))
     key = run_key(Places().team(case), MODELS[0])
-    with Memory() as store:
+    with Store() as store:
         stolen: list[bool] = []
 
         def jobs() -> Iterator[Job]:
@@ -217,11 +218,11 @@ def test_one_process_two_processes_and_a_killed_one_which_costs_only_what_was_in
 
     def kill_one(step: Done) -> None:
         if step.jobs == 3:
-            victim = int(subprocess.check_output(["pgrep", "-P", str(os.getpid()), "-f", "pool_worker"]).split()[-1])
+            victim = below(os.getpid())[-1]
             os.kill(victim, signal.SIGKILL)
             killed.append(victim)
 
-    with Memory() as store:
+    with Store() as store:
         run_cases(jobs_of(maps=8), store, processes=2, progress=kill_one)
         assert len(killed) == 1 and contents(store) == right
 
@@ -268,9 +269,8 @@ def test_kill_9_at_random_moments(tmp_path: Path, numbers: range, seed: int) -> 
         else:
             read_lines(running, int(random.integers(2, 6)))
         if number % 2:
-            below = subprocess.run(["pgrep", "-P", str(running.pid)], capture_output=True, text=True).stdout
-            for victim in below.split()[-1:]:
-                subprocess.run(["kill", "-9", victim], stderr=subprocess.DEVNULL)
+            for victim in below(running.pid)[-1:]:
+                kill(victim)
             read_lines(running, int(random.integers(0, 4)))
         sleep(random.uniform(0.0, 0.05))
         running.kill()

@@ -34,7 +34,7 @@ from analysis.sweeps.cases import (
 from analysis.sweeps.report import notes_of
 from analysis.sweeps.results import collect
 from analysis.sweeps.spec import read_spec
-from analysis.sweeps.store import Memory, Store, StoreError
+from analysis.sweeps.store import Store, StoreError
 from analysis.sweeps.store_files import add_sums, joined, pack, sums_of, unpack, without
 from analysis.sweeps.sweep import Sweep, run_sweep
 from planner.errors import PER_VISIT
@@ -99,12 +99,12 @@ def test_key_knows_the_shape() -> None:
 
 def blocks_of(store: Store) -> list[int]:
     """Rollouts of each of its blocks."""
-    return [tally.rollouts for result in store._results([]) for tally in result.tallies]
+    return [tally.rollouts for result in store.intact([]) for tally in result.tallies]
 
 
 @pytest.fixture(params=["file", "memory"])
 def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
-    with Store.open(tmp_path / "a.store") if request.param == "file" else Memory() as opened:
+    with Store.open(tmp_path / "a.store") if request.param == "file" else Store() as opened:
         yield opened
 
 
@@ -223,7 +223,7 @@ def test_truncated_and_flipped(tmp_path: Path) -> None:
         else:
             del data[int(random.integers(1, len(data))) :]
         bad.write_bytes(data)
-        with Memory() as rescued:
+        with Store() as rescued:
             try:
                 with Store.open(bad, write=False) as store:
                     _, notes = rescued.merge(store)
@@ -483,7 +483,7 @@ def read(path: Path, right: dict[str, Tally | None]) -> bool:
 
 def merged(path: Path, right: dict[str, Tally | None]) -> bool:
     """True if all is there, or what is not was said."""
-    with Store.rescue(path) as store, Memory() as rescued:
+    with Store.rescue(path) as store, Store() as rescued:
         _, notes = rescued.merge(store)
         return bool(notes) or tallies(rescued) == right
 
@@ -550,7 +550,7 @@ def test_what_cannot_be_saved_is_counted(whole: Path, tmp_path: Path) -> None:
     page = found[len(found) // 2][0] - 1
     data[page * PAGE : (page + 1) * PAGE] = bytes(PAGE)
     bad.write_bytes(data)
-    with Store.rescue(bad) as store, Memory() as rescued:
+    with Store.rescue(bad) as store, Store() as rescued:
         count, (note,) = rescued.merge(store)
         held = sum(rescued.held(key_of(case)) == IDS for case in CASES)
         blocks = sum(len(rescued.held(key_of(case))) for case in CASES)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Literal
@@ -41,7 +40,7 @@ from analysis.theory.verdicts import (
     worst_of_robots,
 )
 from analysis.utils.notes import ProgressCallback
-from analysis.utils.pool import Pool, wanted_processes
+from analysis.utils.pool import answers, wanted_processes
 from planner.arguments import argument, whole
 from planner.errors import UsageError
 from planner.files import Json
@@ -507,12 +506,11 @@ def run_survey(
     seeds = range(rollouts.seed, rollouts.seed + choices.worlds)
     clock, entries, interrupted, done = time.perf_counter(), [], False, 0
     try:
-        with _looked_at(choices, rollouts, seeds, count) as answers:
-            for found in answers:
-                entries += found
-                done += 1
-                if progress is not None:
-                    progress(done, choices.worlds, time.perf_counter() - clock)
+        for _, found in answers(partial(look_at, choices, rollouts), seeds, count, lambda seed: f"world {seed}"):
+            entries += found
+            done += 1
+            if progress is not None:
+                progress(done, choices.worlds, time.perf_counter() - clock)
     except KeyboardInterrupt:
         if not entries:
             raise
@@ -520,19 +518,6 @@ def run_survey(
     # Worlds finish in any order; the result must not depend on it.
     entries.sort(key=lambda entry: (entry.seed, entry.robots))
     return Survey(choices, rollouts, tuple(entries), time.perf_counter() - clock, interrupted)
-
-
-@contextmanager
-def _looked_at(
-    choices: SurveyChoices, rollouts: RolloutChoices, seeds: range, count: int
-) -> Iterator[Iterator[list[Entry]]]:
-    """The entries of each world, in any order, from `count` processes; 1: from this process."""
-    task = partial(look_at, choices, rollouts)
-    if count == 1:
-        yield map(task, seeds)
-        return
-    with Pool(task, count, name=lambda seed: f"world {seed}") as pool:
-        yield (found for _, found in pool.run(seeds))
 
 
 # The charts of a survey's page: rates of failure, and coverage with its bounds.

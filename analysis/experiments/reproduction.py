@@ -28,7 +28,7 @@ from analysis.statistics.estimates import Estimate, over_maps
 from analysis.sweeps.cases import check_maps, generated_case
 from analysis.sweeps.engine import Done, Finished, Job, Swept, run_cases
 from analysis.sweeps.results import KEPT, figures_of
-from analysis.sweeps.store import Memory, Run, Store
+from analysis.sweeps.store import Run, Store
 from analysis.utils.notes import ProgressCallback
 from analysis.utils.tables import csv_text, make_table
 from planner.arguments import check_word
@@ -429,7 +429,7 @@ def reproduce(
     names = tuple(SETTINGS) if figure == "all" else (figure,)
     needed = [*names, *(("fig5",) if "fig6" in names else ())]
     settings = tuple(dict.fromkeys(setting for name in needed for setting in SETTINGS[name]))
-    held = Memory() if store is None else store
+    held = Store() if store is None else store
     collected = _Collected(settings, seed, held)
 
     def take(done: Done) -> None:

@@ -12,7 +12,7 @@ import json
 import logging
 import math
 import time
-from collections.abc import Callable, Coroutine, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.store_files import Ranges, cut
 from analysis.utils.pool import AHEAD
-from analysis.utils.progress import run_loop
 from planner.arguments import BLOCK, argument, is_whole
 from planner.errors import InputError, UsageError, names_of_0_3
 from planner.files import Json
@@ -560,8 +559,10 @@ def on_cluster(scheduler: str | Client) -> Iterator[Stream]:
         if isinstance(scheduler, str):
             _check_scheduler(scheduler, named)
             opened: Any = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
+        elif not isinstance(scheduler, Client) or scheduler.asynchronous or scheduler.status != "running":
+            expected = "the address of a dask scheduler, or a dask.distributed Client that is open and not asynchronous"
+            raise UsageError(named, expected=expected)
         else:
-            _check_client(scheduler, Client, named)
             opened = nullcontext(scheduler)
         with opened as client:
             address = client.scheduler.address
@@ -574,68 +575,28 @@ def on_cluster(scheduler: str | Client) -> Iterator[Stream]:
         logging.disable(quiet)
 
 
-def _check_client(given: object, kind: type, named: str) -> None:
-    """Raise UsageError unless `given` is an open, synchronous client."""
-    expected = "the address of a dask scheduler, or a dask.distributed Client that is open and not asynchronous"
-    if not isinstance(given, kind):
-        raise UsageError(named, expected=expected)
-    client: Any = given
-    if client.asynchronous or client.status != "running":
-        raise UsageError(f"{named}, {'asynchronous' if client.asynchronous else client.status}", expected=expected)
-
-
-def _check_scheduler(scheduler: str, named: str) -> None:
+def _check_scheduler(address: str, named: str) -> None:
     """Raise UsageError unless a scheduler responds at this address."""
-    if scheduler.startswith("tls://"):
-        _check_keys(named)
     try:
-        answers = _cluster_run(asyncio.wait_for(_identity(scheduler), CONNECT_SECONDS))
-    except Exception as error:  # a server of another kind may respond with anything
-        fix = f"start one with `dask scheduler`, or use {argument('processes')}"
-        expected = "an address, as tls://host:8786 or tcp://host:8786"
-        problem = f"{named}: no scheduler responds ({type(error).__name__})"
-        raise UsageError(problem, expected=expected, fix=fix) from None
-    if answers != "Scheduler":
-        raise UsageError(f"{named} is a dask {answers}", expected="the address of a scheduler")
+        with ThreadPoolExecutor(1) as thread:  # this thread may have a running loop, as in a notebook
+            kind = thread.submit(asyncio.run, asyncio.wait_for(_kind(address), CONNECT_SECONDS)).result()
+        problem = "" if kind == "Scheduler" else f"a dask {kind}"
+    except Exception as error:  # missing key files; a server of another kind may respond with anything
+        problem = f"no scheduler responds ({type(error).__name__}: {error})"
+    if problem:
+        keys = "the keys distributed.comm.tls.ca-file, .client.key and .client.cert in dask's configuration"
+        expected = f"tcp://host:8786, or tls://host:8786 with {keys}"
+        fix = f"start one with `dask scheduler` (docs/sweeps.md), or use {argument('processes')}"
+        raise UsageError(f"{named}: {problem}", expected=expected, fix=fix)
 
 
-def _cluster_run(main: Coroutine[Any, Any, str]) -> str:
-    """`run_loop`, in another thread if this one has a running loop, as in a notebook."""
-    try:
-        asyncio.get_running_loop()
-    except RuntimeError:
-        return run_loop(main)
-    with ThreadPoolExecutor(1) as pool:
-        return pool.submit(run_loop, main).result()
-
-
-def _check_keys(named: str) -> None:
-    """Raise UsageError unless dask's configuration names key files for tls://."""
-    from distributed.security import Security
-
-    try:
-        ready, problem = Security().get_connection_args("client").get("ssl_context") is not None, "no key is configured"
-    except OSError as error:  # missing or invalid key files
-        ready, problem = False, " ".join(str(error).split())
-    if not ready:
-        raise UsageError(
-            f"{named}: {problem}",
-            expected="distributed.comm.tls.ca-file, .client.key and .client.cert in dask's configuration",
-            fix="see docs/sweeps.md",
-        )
-
-
-async def _identity(address: str) -> str:
+async def _kind(address: str) -> str:
     """The type of a dask server. A Client could ask too, but without a response it blocks for long."""
-    from distributed.core import connect
+    from distributed.core import rpc
     from distributed.security import Security
 
-    comm = await connect(address, timeout=CONNECT_SECONDS, **Security().get_connection_args("client"))
-    try:
-        await comm.write({"op": "identity", "reply": True})
-        return str((await comm.read())["type"])
-    finally:
-        comm.abort()
+    async with rpc(address, connection_args=Security().get_connection_args("client")) as server:
+        return str((await server.identity())["type"])
 
 
 def _stream(client: Client, tasks: Iterable[Task], where: str) -> Iterator[tuple[Task, list[RunResult]]]:

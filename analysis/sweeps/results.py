@@ -236,19 +236,6 @@ def outcomes_of(run: Run) -> Counter[str]:
     return Counter(counts_by_word(() if run.sums is None else run.sums["outcomes"], deadline))
 
 
-def figure_of(run: Run, name: str) -> tuple[float, float]:
-    """(mean over a run's rollouts, squared standard error of that mean) of a figure; error 0 for a single rollout."""
-    assert run.sums is not None
-    n = run.sums["rollouts"]
-    if name == "complete":
-        p = run.sums["outcomes"][0] / n
-        return p, p * (1 - p) / max(n - 1, 1)
-    first, second = run.sums[name.removesuffix("_of_free")]
-    mean, unit = first / n, unit_of(run, name)
-    scatter = (second * n - first * first) / n  # integers, exact before the division
-    return mean * unit, scatter / max(n - 1, 1) / n * unit * unit
-
-
 def exact_of(run: Run, name: str) -> float:
     """The open loop's exact mean of a figure of a run; NaN if unknown."""
     value = run.facts["exact"][name.removesuffix("_of_free")]

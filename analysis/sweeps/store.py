@@ -9,11 +9,10 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import reduce
 from itertools import islice
 from operator import add
@@ -22,7 +21,7 @@ from typing import Any
 from urllib.parse import quote
 
 from analysis.sweeps.cases import Label, RunResult, canonical
-from analysis.sweeps.store_files import Ranges, add_sums, joined, pack, rows_of, sums_of, unpack, without
+from analysis.sweeps.store_files import Ranges, add_sums, joined, pack, sums_of, unpack, without
 from planner.arguments import BLOCK
 from planner.errors import LOOPS, PER_VISIT, RENAMED, InputError
 from planner.files import Json, printable, why_no_file
@@ -54,6 +53,19 @@ CREATE TABLE blocks (
 """
 
 
+A_STORE = "a store (`mrac-jax sweep` makes one)"
+SAVE = "save the intact runs: mrac-jax results NEW --merge THIS"
+ROOM = "free disk space and run the same command again: the previous content is intact"
+ERRORS: tuple[tuple[Any, str, str, str], ...] = (
+    ("SQLITE_NOTADB", "is not a store", A_STORE, ""),
+    (("SQLITE_FULL", "SQLITE_IOERR"), "cannot be {done} ({text})", "", ROOM),
+    (("SQLITE_READONLY", "SQLITE_CANTOPEN"), "cannot be {done} ({text})", "a file and a folder that can be {done}", ""),
+    (("SQLITE_BUSY", "SQLITE_LOCKED"), f"another process held it for {BUSY_SECONDS:g} s", "an unlocked store", ""),
+    ("", "cannot be used ({text})", "", ""),
+)
+"""Begin of SQLite's name of an error; problem, expectation and fix of the StoreError."""
+
+
 class StoreError(InputError):
     """A store cannot be read or written. Its previous content is intact."""
 
@@ -66,7 +78,7 @@ def open_file(path: Path, *, write: bool, whole: bool = True) -> sqlite3.Connect
     # A dangling symbolic link is an error: its target may be on a disk that is not mounted.
     problem = why_no_file(path)
     if problem and (problem != "no such file" or not write or path.is_symlink()):
-        raise StoreError(problem, source=printable(path), expected="a store (`mrac-jax sweep` makes one)")
+        raise StoreError(problem, source=printable(path), expected=A_STORE)
     if problem and not path.parent.is_dir():
         fix = f"make {printable(path.parent)} first"
         raise StoreError("cannot be made: its folder does not exist", source=printable(path), fix=fix)
@@ -82,6 +94,9 @@ def open_file(path: Path, *, write: bool, whole: bool = True) -> sqlite3.Connect
                 with transaction(connection):  # detect a file that cannot be written now, not after a sweep
                     connection.execute("PRAGMA user_version").fetchone()
                     connection.execute(f"PRAGMA user_version = {VERSION}")
+            with suppress(sqlite3.DatabaseError):  # damage is reported when rows are read
+                if connection.execute(_BY_VISITS).fetchone():
+                    raise StoreError(PER_VISIT, source=printable(path))
         except BaseException:
             connection.close()
             raise
@@ -91,13 +106,9 @@ def open_file(path: Path, *, write: bool, whole: bool = True) -> sqlite3.Connect
 def _connect(path: Path, parameters: str) -> sqlite3.Connection:
     address = f"file:{quote(os.fsencode(path.absolute()))}?{parameters}"
     connection = sqlite3.connect(address, uri=True, isolation_level=None, timeout=BUSY_SECONDS)
-    connection.text_factory = _text
+    # Text of a row may be damaged: the checksum detects that.
+    connection.text_factory = lambda data: data.decode("utf-8", "surrogateescape")
     return connection
-
-
-def _text(data: bytes) -> str:
-    """Text of a row, possibly damaged: the checksum detects that."""
-    return data.decode("utf-8", "surrogateescape")
 
 
 def _readable(path: Path) -> sqlite3.Connection:
@@ -116,7 +127,11 @@ def _readable(path: Path) -> sqlite3.Connection:
 
 def _prepare(connection: sqlite3.Connection, path: Path) -> None:
     if _is_new(connection):
-        _make(connection)
+        with suppress(sqlite3.OperationalError):  # busy: another process creates it too, in WAL mode
+            connection.execute("PRAGMA journal_mode = WAL")
+        with transaction(connection):
+            if _is_new(connection):
+                _make(connection)
     _check(connection, path)
     wal = connection.execute("PRAGMA journal_mode").fetchone()[0] == "wal"
     connection.execute(f"PRAGMA synchronous = {'NORMAL' if wal else 'FULL'}")  # without WAL, NORMAL is not safe
@@ -130,22 +145,8 @@ def _is_new(connection: sqlite3.Connection) -> bool:
 
 
 def _make(connection: sqlite3.Connection) -> None:
-    # Two processes may create the same store at once.
-    patience = time.monotonic() + BUSY_SECONDS
-    while True:
-        try:  # another process may create it too; SQLite has no busy timeout here
-            connection.execute("PRAGMA journal_mode = WAL")
-            break
-        except sqlite3.OperationalError as error:
-            if not _is_busy(error) or time.monotonic() > patience:
-                raise
-            time.sleep(0.02)
-    with transaction(connection):
-        if _is_new(connection):
-            for statement in TABLES.split(";"):
-                connection.execute(statement)
-            connection.execute(f"PRAGMA application_id = {MARK}")
-            connection.execute(f"PRAGMA user_version = {VERSION}")
+    for statement in (*TABLES.split(";"), f"PRAGMA application_id = {MARK}", f"PRAGMA user_version = {VERSION}"):
+        connection.execute(statement)
 
 
 def _check(connection: sqlite3.Connection, path: Path) -> None:
@@ -153,14 +154,10 @@ def _check(connection: sqlite3.Connection, path: Path) -> None:
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if mark != MARK:
         what = "is empty" if _is_new(connection) else "is a database of another program"
-        raise StoreError(what, source=printable(path), expected="a store (`mrac-jax sweep` makes one)")
+        raise StoreError(what, source=printable(path), expected=A_STORE)
     if version > VERSION:
-        raise StoreError(
-            f"is a store of version {version}, of a newer mrac-jax",
-            source=printable(path),
-            expected=f"version {VERSION} at most",
-            fix="update mrac-jax, or use another store",
-        )
+        problem, fix = f"is a store of version {version}, of a newer mrac-jax", "update mrac-jax, or use another store"
+        raise StoreError(problem, source=printable(path), expected=f"version {VERSION} at most", fix=fix)
     if version < 1:
         raise damaged(path, f"version {version}")
     found = {" ".join(str(sql).split()) for (sql,) in connection.execute("SELECT sql FROM sqlite_master")}
@@ -191,36 +188,18 @@ def _store_errors(path: Path | None, *, write: bool = True) -> Iterator[None]:
     except UnicodeDecodeError as error:  # SQLite's message may quote undecodable bytes
         raise damaged(path, "text that is not UTF-8") from error
     except sqlite3.DatabaseError as error:
-        source = printable(path) if path else "store"
-        code = getattr(error, "sqlite_errorname", "") or ""
-        text = str(error)
-        if code.startswith("SQLITE_NOTADB"):
-            raise StoreError("is not a store", source=source, expected="a file that `mrac-jax sweep` made") from error
-        if code.startswith("SQLITE_CORRUPT") or "malformed" in text:
+        code, text = getattr(error, "sqlite_errorname", "") or "", str(error)
+        if code.startswith("SQLITE_CORRUPT") or "malformed" in text or (code == "SQLITE_ERROR" and "no such" in text):
             raise damaged(path, text) from error
-        if code.startswith(("SQLITE_FULL", "SQLITE_IOERR")):
-            fix = "free disk space and run the same command again: the previous content is intact"
-            raise StoreError(f"cannot be {'written' if write else 'read'} ({text})", source=source, fix=fix) from error
-        if code.startswith(("SQLITE_READONLY", "SQLITE_CANTOPEN")):
-            expected = f"a file {'and a folder to write to' if write else 'that can be read'}"
-            raise StoreError(
-                f"cannot be {'written' if write else 'opened'} ({text})", source=source, expected=expected
-            ) from error
-        if _is_busy(error):
-            expected = "a store that no other process locks"
-            raise StoreError(
-                f"another process held it for {BUSY_SECONDS:g} s", source=source, expected=expected
-            ) from error
-        if code == "SQLITE_ERROR" and "no such" in text:
-            raise damaged(path, text) from error
-        raise StoreError(f"cannot be used ({text})", source=source) from error
+        problem, expected, fix = next(words for codes, *words in ERRORS if code.startswith(codes))
+        problem = problem.format(done="written" if write else "read", text=text)
+        raise StoreError(problem, source=printable(path or "store"), expected=expected, fix=fix) from error
 
 
 def damaged(path: Path | None, what: str) -> StoreError:
     """The error for a store whose bytes have changed."""
-    fix = "save the intact runs: mrac-jax results NEW --merge THIS"
     what = " ".join(what.split())[:120]
-    return StoreError(f"is damaged ({what})", source=printable(path) if path else "store", fix=fix)
+    return StoreError(f"is damaged ({what})", source=printable(path or "store"), fix=SAVE)
 
 
 def checksum(*parts: object) -> int:
@@ -230,10 +209,6 @@ def checksum(*parts: object) -> int:
         data = part if isinstance(part, bytes) else str(part).encode("utf-8", "surrogateescape")
         total = zlib.crc32(data + b"\0", total)
     return total
-
-
-def _is_busy(error: sqlite3.Error) -> bool:
-    return (getattr(error, "sqlite_errorname", "") or "").startswith(("SQLITE_BUSY", "SQLITE_LOCKED"))
 
 
 MERGED = 256
@@ -264,43 +239,37 @@ class Run:
 class Store:
     """Runs and their tallies. One thread of a process may use a store; several processes may use one file."""
 
-    def __init__(self, connection: sqlite3.Connection, path: Path | None, problem: str = "") -> None:
-        """Use `Store.open` or `Store.rescue`. `problem`: damage of the file's structure."""
-        self._connection, self.path, self.problem = connection, path, problem
+    def __init__(
+        self, connection: sqlite3.Connection | None = None, path: Path | None = None, problem: str = ""
+    ) -> None:
+        """In memory; for files use `Store.open` or `Store.rescue`. `problem`: damage of the file's structure."""
+        self.path, self.problem = path, problem
+        if connection is None:
+            connection = sqlite3.connect(":memory:", isolation_level=None)
+            _make(connection)
+        self._connection = connection
 
     @classmethod
     def open(cls, path: str | Path, *, write: bool = True) -> Store:
         """The store in this file; with `write` a missing file is created. Raises StoreError."""
-        return cls(open_file(Path(path), write=write), Path(path))._by_thresholds()
+        return cls(open_file(Path(path), write=write), Path(path))
 
     @classmethod
     def rescue(cls, path: str | Path) -> Store:
         """The readable content of a damaged store, for a merge into another. Raises StoreError."""
         try:
-            store = cls(open_file(Path(path), write=False), Path(path))
+            return cls.open(path, write=False)
         except StoreError as error:
             try:
                 connection = open_file(Path(path), write=False, whole=False)
-                store = cls(connection, Path(path), f"{error.source}: {error.problem}")
             except StoreError as again:
-                fix = "take an older copy, or run the sweep again into another store"
+                fix = again.fix.replace(SAVE, "take an older copy, or run the sweep again into another store")
                 raise StoreError(again.problem, source=again.source, expected=again.expected, fix=fix) from error
-        return store._by_thresholds()
-
-    def _by_thresholds(self) -> Store:
-        """This store. Raises StoreError if it has random numbers for each visit (releases before 0.4)."""
-        with suppress(sqlite3.DatabaseError):  # damage is reported when rows are read
-            if self._connection.execute(_BY_VISITS).fetchone():
-                self.close()
-                raise StoreError(PER_VISIT, source=printable(self.path or "store"))
-        return self
+            return cls(connection, Path(path), f"{error.source}: {error.problem}")
 
     def close(self) -> None:
         """Close the file."""
         self._connection.close()
-
-    def forget(self, keys: Iterable[str]) -> None:
-        """The caller needs these runs no more; a file keeps them."""
 
     def __enter__(self) -> Store:
         return self
@@ -353,6 +322,13 @@ class Store:
                 with _store_errors(self.path), transaction(self._connection):
                     self._add_run(key, row[1], dict(what), {})
 
+    def forget(self, keys: Iterable[str]) -> None:
+        """Remove runs, to save memory."""
+        with _store_errors(self.path), transaction(self._connection):
+            for key in keys:
+                self._connection.execute("DELETE FROM runs WHERE key = ?", (key,))
+                self._connection.execute("DELETE FROM blocks WHERE key = ?", (key,))
+
     def add(self, results: Iterable[RunResult]) -> dict[str, Ranges]:
         """Store results in one transaction. Returns the ids that were rejected, as they overlap stored ones.
 
@@ -371,50 +347,13 @@ class Store:
                         lost[result.key] = joined([*lost.get(result.key, ()), *left_out])
         return lost
 
-    def merge(self, other: Store) -> tuple[int, list[str]]:
-        """Merge all intact results of another store. Returns the number of merged runs, and notes on omitted ones."""
-        notes, count = list[str](), 0
-        results = other._results(notes)
-        while batch := list(islice(results, MERGED)):
-            notes += [f"run {key[:12]}: rollouts {list(ids)} overlap others" for key, ids in self.add(batch).items()]
-            count += len(batch)
-        return count, notes
-
-    def _results(self, notes: list[str]) -> Iterator[RunResult]:
-        """Every run with its intact blocks; a note counts the damaged ones."""
-        rows, runs, blocks = rows_of(self._connection), 0, set[tuple[str, int]]()
-        for key, numbers in rows.runs.items():
-            own = [row for n in numbers if (row := self._row(f"{_RUNS} WHERE rowid = ?", n, key)) and _is_run(row)]
-            tallies = {tally.ids[0][0] // BLOCK: tally for tally in self._intact(key, rows.blocks.get(key, ()))}
-            if own and tallies:
-                runs += 1
-                blocks |= {(key, block) for block in tallies}
-                yield RunResult(key, json.loads(own[0][2]), json.loads(own[0][3]), tuple(tallies.values()))
-        lost, gone = len({key for key, _ in rows.named} | rows.runs.keys()) - runs, len(rows.named - blocks)
-        if self.problem or lost or gone:
-            problem = f"{counted(lost, 'run')} and {counted(gone, 'block')} cannot be read"
-            source = self.problem or printable(self.path or "store")
-            notes.append(f"{source}: {problem}; lost entries of its index are not counted")
-
-    def _intact(self, key: str, numbers: Iterable[int]) -> Iterator[Tally]:
-        """The intact blocks of a run among these rows."""
-        for number in sorted(numbers):
-            row = self._row(f"{_BLOCKS} WHERE rowid = ?", number, key)
-            if row is not None:
-                with suppress(StoreError):
-                    yield self._tally(row)
-
-    def _row(self, query: str, number: int, key: str) -> tuple[Any, ...] | None:
-        """A row if it belongs to this run, else None: the file may be damaged."""
-        # An unreadable row counts as lost.
-        with suppress(sqlite3.DatabaseError):
-            for row in self._connection.execute(query, (number,)):
-                return tuple(row) if row[0] == key else None
-        return None
-
     def _add_run(self, key: str, identity: str, what: dict[str, Label], facts: Json) -> None:
         for row in self._rows(f"{_RUNS} WHERE key = ?", key):
-            check_identity(key, row[1], identity, what, self.path)
+            if row[1] != identity:
+                problem = (
+                    f"run {key[:12]} ({canonical(what)}) has another plan, of another version of METIS or mrac-jax"
+                )
+                raise StoreError(problem, source=self.path or "store", fix="use another store")
             held, known = self._as_json(row)
             if all(name in held for name in what):
                 return
@@ -432,13 +371,77 @@ class Store:
         left_out: Ranges = ()
         for row in self._rows(f"{_BLOCKS} WHERE key = ? AND block = ?", key, block):
             held = self._tally(row)
-            tally, left_out = united(key, held, tally, self.path)
-            if tally is held:
-                return left_out
+            new, old = without(tally.ids, held.ids), without(held.ids, tally.ids)
+            if not new and not old and held != tally:
+                problem = f"run {key[:12]}: the same rollouts {list(tally.ids)} have other counts here"
+                raise StoreError(problem, source=self.path or "store", expected="reproducible rollouts")
+            if not new:
+                return ()
+            if new == tally.ids:  # disjoint parts of one block add
+                tally = tally + held
+            elif old and tally.rollouts <= held.rollouts:
+                return new
+            else:
+                left_out = old
         texts, blob = (key, block, canonical(tally.ids), canonical(sums_of(tally))), pack(tally)
         values = (*texts, blob, checksum(*texts, len(blob)))
         self._connection.execute("INSERT OR REPLACE INTO blocks VALUES (?, ?, ?, ?, ?, ?)", values)
         return left_out
+
+    # A store that is damaged or merged: rows are found through the index and through the table, from both ends, since
+    # a damaged page ends a scan. Each is read by its rowid and verified by its checksum; only rowids are in memory.
+
+    def merge(self, other: Store) -> tuple[int, list[str]]:
+        """Merge all intact results of another store. Returns the number of merged runs, and notes on omitted ones."""
+        notes, count = list[str](), 0
+        results = other.intact(notes)
+        while batch := list(islice(results, MERGED)):
+            notes += [f"run {key[:12]}: rollouts {list(ids)} overlap others" for key, ids in self.add(batch).items()]
+            count += len(batch)
+        return count, notes
+
+    def intact(self, notes: list[str]) -> Iterator[RunResult]:
+        """Every run with its intact blocks, in order of insertion; a note counts the damaged ones."""
+        runs, blocks = self._reached("runs", "key"), self._reached("blocks", "key", "block")
+        numbers: dict[str, list[int]] = {}
+        for number, key, _ in sorted(blocks):
+            numbers.setdefault(key, []).append(number)
+        done, saved = set[str](), set[tuple[Any, ...]]()
+        for number, key in sorted(runs):
+            row = self._row(f"{_RUNS} WHERE rowid = ?", number, key)
+            parts = [self._row(f"{_BLOCKS} WHERE rowid = ?", part, key) for part in numbers.get(key, ())]
+            tallies: dict[int, Tally] = {}
+            for part in filter(None, parts):
+                with suppress(StoreError):
+                    tallies[part[1]] = self._tally(part)
+            if row is not None and checksum(*row[:-1]) == row[-1] and tallies:
+                done.add(key)
+                saved |= {(key, str(block)) for block in tallies}
+                yield RunResult(key, json.loads(row[2]), json.loads(row[3]), tuple(tallies.values()))
+        lost = len({key for _, key, *_ in runs | blocks} - done)
+        gone = len({row[1:] for row in blocks} - saved)
+        if self.problem or lost or gone:
+            problem = f"{counted(lost, 'run')} and {counted(gone, 'block')} cannot be read"
+            source = self.problem or printable(self.path or "store")
+            notes.append(f"{source}: {problem}; lost entries of its index are not counted")
+
+    def _reached(self, table: str, *columns: str) -> set[tuple[Any, ...]]:
+        """(rowid, columns as text) of all rows that a scan reaches."""
+        found = set[tuple[Any, ...]]()
+        for way, names in (("NOT INDEXED", ("rowid",)), (f"INDEXED BY sqlite_autoindex_{table}_1", columns)):
+            for order in ("ASC", "DESC"):
+                by = ", ".join(f"{name} {order}" for name in names)
+                query = f"SELECT rowid, {', '.join(columns)} FROM {table} {way} ORDER BY {by}"
+                with suppress(sqlite3.DatabaseError):  # rows before a damaged page stay
+                    found.update((number, *map(str, key)) for number, *key in self._connection.execute(query))
+        return found
+
+    def _row(self, query: str, number: int, key: str) -> tuple[Any, ...] | None:
+        """A row if it is readable and belongs to this run."""
+        with suppress(sqlite3.DatabaseError):
+            for row in self._connection.execute(query, (number,)):
+                return tuple(row) if row[0] == key else None
+        return None
 
     def _run(self, row: tuple[Any, ...]) -> Run:
         what, facts = self._as_json(row)
@@ -450,7 +453,7 @@ class Store:
 
     def _as_json(self, row: tuple[Any, ...]) -> tuple[dict[str, Label], Json]:
         """A run's labels and facts, without its blocks. Raises StoreError if they are damaged."""
-        if not _is_run(row):
+        if checksum(*row[:-1]) != row[-1]:
             raise damaged(self.path, f"run {str(row[0])[:12]}")
         what = json.loads(row[2])
         what.pop("mode", None)  # a label of 0.3, which had several ways of sampling
@@ -476,112 +479,7 @@ class Store:
             raise damaged(self.path, f"run {str(key)[:12]}, block {block}: {error}") from error
 
 
-def check_identity(key: str, held: str, identity: str, what: Mapping[str, Label], path: Path | None) -> None:
-    """Raise StoreError if a run's rollouts have another identity than the stored ones."""
-    if held != identity:
-        problem = f"run {key[:12]} ({canonical(what)}) has another plan, of another version of METIS or mrac-jax"
-        raise StoreError(problem, source=path or "store", fix="use another store")
-
-
-def united(key: str, held: Tally, tally: Tally, path: Path | None) -> tuple[Tally, Ranges]:
-    """Unite two parts of a block: the kept tally, and the rejected ids. `held` itself if `tally` adds nothing.
-
-    Raises StoreError if equal ids have different counts.
-    """
-    new, old = without(tally.ids, held.ids), without(held.ids, tally.ids)
-    if not new and not old and held != tally:
-        problem = f"run {key[:12]}: the same rollouts {list(tally.ids)} have other counts here"
-        raise StoreError(problem, source=path or "store", expected="reproducible rollouts")
-    if not new or not old:
-        return (tally if new else held), ()
-    # Disjoint parts of one block add.
-    if new == tally.ids:
-        return tally + held, ()
-    return (tally, old) if tally.rollouts > held.rollouts else (held, new)
-
-
-def _is_run(row: tuple[Any, ...]) -> bool:
-    return checksum(*row[:-1]) == row[-1]
-
-
 _BY_VISITS = """SELECT 1 FROM runs WHERE what LIKE '%"mode":"fast"%' OR what LIKE '%"mode":"step"%' LIMIT 1"""
 _RUNS = "SELECT key, identity, what, facts, checksum FROM runs"
 _BLOCKS = "SELECT key, block, ids, sums, tally, checksum FROM blocks"
 _SUMS = "SELECT key, block, ids, sums, length(tally), checksum FROM blocks"
-
-
-# A store in memory, with the same contents as a file.
-
-
-@dataclass
-class _Held:
-    """A run: labels, facts, and a tally of each block, by number."""
-
-    what: dict[str, Label]
-    facts: Json
-    blocks: dict[int, Tally] = field(default_factory=dict)
-
-    def tallies(self) -> list[Tally]:
-        """The tallies in order of their ids."""
-        return [self.blocks[number] for number in sorted(self.blocks)]
-
-
-class Memory(Store):
-    """A store in memory: runs and their tallies, 20 kB each for 400 cells."""
-
-    def __init__(self) -> None:
-        self.path = None
-        self._held: dict[str, _Held] = {}
-
-    def close(self) -> None:
-        """Nothing: there is no file."""
-
-    def forget(self, keys: Iterable[str]) -> None:
-        """Remove these runs, as their user is done."""
-        for key in keys:
-            self._held.pop(key, None)
-
-    def __len__(self) -> int:
-        return len(self._held)
-
-    def held(self, key: str) -> Ranges:
-        found = self._held.get(key)
-        return () if found is None else joined(pair for tally in found.tallies() for pair in tally.ids)
-
-    def tally(self, key: str) -> Tally | None:
-        found = self._held.get(key)
-        return None if found is None else reduce(add, found.tallies())
-
-    def run(self, key: str) -> Run | None:
-        found = self._held.get(key)
-        if found is None:
-            return None
-        return Run(key, found.what, found.facts, self.held(key), reduce(add_sums, map(sums_of, found.tallies())))
-
-    def runs(self) -> Iterator[Run]:
-        return (run for key in list(self._held) if (run := self.run(key)) is not None)
-
-    def labels(self) -> Iterator[dict[str, Label]]:
-        return (held.what for held in self._held.values())
-
-    def label(self, key: str, what: Mapping[str, Label]) -> None:
-        self._held[key].what = dict(sorted((dict(what) | self._held[key].what).items()))
-
-    def add(self, results: Iterable[RunResult]) -> dict[str, Ranges]:
-        lost: dict[str, Ranges] = {}
-        for result in results:
-            for tally in result.tallies:
-                held = self._held.setdefault(result.key, _Held({}, result.facts))
-                for other in held.tallies()[:1]:
-                    check_identity(result.key, other.key, tally.key, result.what, None)
-                self.label(result.key, result.what)
-                number = tally.ids[0][0] // BLOCK
-                here = held.blocks.get(number)
-                held.blocks[number], left_out = (tally, ()) if here is None else united(result.key, here, tally, None)
-                if left_out:
-                    lost[result.key] = joined([*lost.get(result.key, ()), *left_out])
-        return lost
-
-    def _results(self, notes: list[str]) -> Iterator[RunResult]:
-        for key, held in self._held.items():
-            yield RunResult(key, held.what, held.facts, tuple(held.tallies()))

@@ -6,10 +6,8 @@ A blob is zlib of one line of JSON (`key`, `shape`, `arrays`: [name, type, lengt
 from __future__ import annotations
 
 import json
-import sqlite3
 import zlib
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from itertools import zip_longest
 from typing import Any
 
@@ -130,63 +128,3 @@ def without(ids: Ranges, taken: Ranges) -> Ranges:
         if start < stop:
             left.append((start, stop))
     return tuple(left)
-
-
-# Recovery of a damaged store: rows are found through the index and through the table.
-#
-# A row is read by its number (SQLite's rowid), which index and table both hold, and then verified by its checksum. Only
-# the numbers are kept in memory.
-
-LAST = 2**63 - 1
-"""The largest rowid."""
-COLUMNS = {"runs": "key", "blocks": "key, block"}
-
-
-@dataclass
-class Rows:
-    """Rows of a damaged store by the key of their run.
-
-    Attributes:
-        runs: rowids of a run's rows; more than one if index and table disagree. blocks: rowids of its blocks.
-        named: (key, block) of every block in the index or the table.
-    """
-
-    runs: dict[str, set[int]] = field(default_factory=dict)
-    blocks: dict[str, set[int]] = field(default_factory=dict)
-    named: set[tuple[str, int]] = field(default_factory=set)
-
-
-def rows_of(connection: sqlite3.Connection) -> Rows:
-    """Every row that can be reached, in order of insertion of the runs."""
-    found = Rows()
-    for number, key in sorted(_reached(connection, "runs"), key=lambda row: row[0]):
-        found.runs.setdefault(str(key), set()).add(number)
-    for number, key, block in _reached(connection, "blocks"):
-        found.blocks.setdefault(str(key), set()).add(number)
-        found.named.add((str(key), block))
-    return found
-
-
-def _reached(connection: sqlite3.Connection, table: str) -> set[tuple[int, ...]]:
-    """(rowid, columns) of the rows of a table: by its index, then by the table itself, skipping damaged places."""
-    columns, found = COLUMNS[table], set[tuple[int, ...]]()
-    for order in ("ASC", "DESC"):
-        by = ", ".join(f"{column} {order}" for column in columns.split(", "))
-        query = f"SELECT rowid, {columns} FROM {table} INDEXED BY sqlite_autoindex_{table}_1 ORDER BY {by}"
-        try:
-            for row in connection.execute(query):
-                found.add(row)
-        except sqlite3.DatabaseError:
-            continue
-    last = max((row[0] for row in found), default=LAST - 1)
-    for sign, way, place in ((1, "> ? ORDER BY rowid", 0), (-1, "< ? ORDER BY rowid DESC", min(last, LAST - 1) + 1)):
-        query, step = f"SELECT rowid, {columns} FROM {table} NOT INDEXED WHERE rowid {way}", 1
-        while 0 <= place <= LAST:
-            try:
-                for row in connection.execute(query, (place,)):
-                    found.add(row)
-                    place, step = row[0], 1
-                break
-            except sqlite3.DatabaseError:  # skip the damaged place in growing steps
-                place, step = place + sign * step, 2 * step
-    return found

@@ -13,7 +13,7 @@ from analysis.statistics.variance_reduction import controlled_means
 from analysis.sweeps.cases import Case
 from analysis.sweeps.engine import Done, Finished, Job, run_cases
 from analysis.sweeps.results import KEPT, figures_of, is_exact
-from analysis.sweeps.store import Memory, Store
+from analysis.sweeps.store import Store
 from analysis.utils.notes import ProgressCallback
 
 SettingName = TypeVar("SettingName")
@@ -50,7 +50,7 @@ class ByMap(Generic[SettingName]):
 
         `where`: `processes` and `scheduler` of `run_cases`.
         """
-        held = Memory() if store is None else store
+        held = Store() if store is None else store
 
         def take(done: Done) -> None:
             setting, number = self._under_way.pop(done.job.case)
