@@ -141,7 +141,7 @@ NAN = '{"type": "Polygon", "coordinates": [[[0, 0], [NaN, 0], [1, 1]]]}'
         ("f.geojson", '{"type": "FeatureCollection", "features": []}', 10, "holds no features"),
         ("f.geojson", NAN, 10, "wrong coordinates"),
         ("f.geojson", "", 10, "no JSON"),
-        ("f.geojson", '{"type": "Point", "coordinates": [1, 2]}', 10, "its type is 'Point'"),
+        ("f.geojson", '{"type": "Point", "coordinates": [1, 2]}', 10, "geometry is 'Point'"),
         ("f.gpx", "<gpx></gpx>", 10, "holds no features"),
         ("f.kml", "<kml><Placemark/></kml>", 10, "holds no features"),
         ("f.csv", "x,y\n1,2\n3,4\n", 10, "2 corners"),

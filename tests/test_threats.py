@@ -634,8 +634,8 @@ def test_observers_are_told_apart_and_a_map_alone_has_no_sources(tmp_path: Path)
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("a.kml", "<kml><Placemark><name> East  field</name><Polygon><outerBoundaryIs><coordinates>{}"
-                  "</coordinates></outerBoundaryIs></Polygon></Placemark></kml>"),
+        ("a.kml", "<kml><Placemark><name> East  field</name><Polygon><outerBoundaryIs><LinearRing><coordinates>{}"
+                  "</coordinates></LinearRing></outerBoundaryIs></Polygon></Placemark></kml>"),
         ("a.gpx", "<gpx><trk><name>East field</name><trkseg>{}</trkseg></trk></gpx>"),
     ],
 )  # fmt: skip

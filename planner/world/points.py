@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,13 +41,10 @@ Boxes = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Least and largest coordinates `[boxes, 2]`; for a point both are the point."""
 NEAR = 0.01
 """Degrees around a map, or the map's own size, within which shapes are assumed to belong to it."""
-SEAM = 1e-9
-"""Of a turn: edges this close on both sides of a cut are the same (4 cm at the equator)."""
 WIDE = 10
 """Largest gap, in cells, between the sides of a cut at longitude 180 that is reported."""
 SAMPLES = 9
 """Places along each side of a map at which longitude and latitude are evaluated."""
-Edge = tuple[tuple[float, float], tuple[float, float]]
 
 
 def in_range(places: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -244,17 +240,7 @@ def _moved_to(side: float, ring: NDArray[np.float64], tolerance: float) -> NDArr
     return np.column_stack([x, ring[:, 1]])
 
 
-class Unrolled(NamedTuple):
-    """Polygons with a periodic x: `areas`, whose union is the shape, and its `borders`.
-
-    They differ only if the shape was cut: there areas share an edge that borders do not have.
-    """
-
-    areas: list[Rings]
-    borders: list[Rings]
-
-
-def unrolled(polygons: list[Rings], low: float, high: float, turn: float) -> Unrolled:
+def unrolled(polygons: list[Rings], low: float, high: float, turn: float) -> tuple[list[Rings], bool]:
     """Polygons of one shape, moved near x = low .. high.
 
     A ring with a step of more than half a turn goes the short way if only then it holds their middle. A polygon is
@@ -264,11 +250,14 @@ def unrolled(polygons: list[Rings], low: float, high: float, turn: float) -> Unr
         polygons: of the shape.
         low, high: interval of x.
         turn: period of x, 0: none.
+
+    Returns:
+        (polygons, whether they were moved by different numbers of turns, as those cut at longitude 180).
     """
     if not turn:
-        return Unrolled(polygons, polygons)
+        return polygons, False
     moved: list[Rings] = []
-    turns: list[int] = []
+    turns: set[int] = set()
     for rings in polygons:
         rings = _short_way(rings, low, high, turn)
         x = np.concatenate([ring[:, 0] for ring in rings])
@@ -277,8 +266,8 @@ def unrolled(polygons: list[Rings], low: float, high: float, turn: float) -> Unr
         there = [n for n in range(nearest - 1, nearest + 2) if x.min() + n * turn < high and x.max() + n * turn > low]
         for number in there or [nearest]:
             moved.append([np.add(ring, (number * turn, 0.0)) for ring in rings] if number else rings)
-            turns.append(number)
-    return Unrolled(moved, _joined(moved, turns, SEAM * turn) if len(set(turns)) > 1 else moved)
+            turns.add(number)
+    return moved, len(turns) > 1
 
 
 def _short_way(rings: Rings, low: float, high: float, turn: float) -> Rings:
@@ -299,72 +288,6 @@ def _short_way(rings: Rings, low: float, high: float, turn: float) -> Rings:
         own = float(ring[:, 0].min() + ring[:, 0].max()) / 2
         ring[:, 0] += near(own, middle, turn) - own
     return short
-
-
-def _joined(polygons: list[Rings], turns: list[int], tolerance: float) -> list[Rings]:
-    """The borders of polygons without those that they share after moves by different numbers of turns.
-
-    A border with an even number of edges along it is none; the remaining edges are joined to rings again.
-    """
-    owners, edges = [], []
-    for number, rings in enumerate(polygons):
-        for ring in rings:
-            edges.append(np.concatenate([ring, np.roll(ring, -1, axis=0)], axis=1))
-            owners.append(np.full(len(ring), number))
-    edge, owner = np.concatenate(edges), np.concatenate(owners)  # (x0, y0, x1, y1) of each
-    # Only edges along a meridian can be the sides of a cut.
-    upright = np.flatnonzero((np.abs(edge[:, 0] - edge[:, 2]) <= tolerance) & (edge[:, 1] != edge[:, 3]))
-    upright = upright[np.argsort(edge[upright, 0])]
-    groups = np.split(upright, np.flatnonzero(np.diff(edge[upright, 0]) > tolerance) + 1)
-    seams = [group for group in groups if len({turns[number] for number in owner[group]}) > 1]
-    if not seams:
-        return polygons
-    # Polygons without an edge on a seam keep their rings as they are.
-    involved = np.isin(owner, owner[np.concatenate(seams)])
-    borders: list[Edge] = []
-    for seam in seams:
-        x = edge[seam[0], 0]
-        for column in (0, 2):
-            # Exactly equal x, so that corners of both sides match as keys in `_walked`.
-            edge[np.abs(edge[:, column] - x) <= tolerance, column] = x
-        levels, ends = np.unique(edge[seam][:, [1, 3]], return_inverse=True)
-        counts = np.zeros(len(levels), dtype=np.int64)
-        np.add.at(counts, ends.reshape(-1, 2).min(axis=1), 1)
-        np.add.at(counts, ends.reshape(-1, 2).max(axis=1), -1)
-        # An even number of edges along a stretch cancels: it is inside the joined shape.
-        odd = np.flatnonzero(np.cumsum(counts) % 2)
-        borders += [((x, levels[n]), (x, levels[n + 1])) for n in odd]
-    involved[np.concatenate(seams)] = False
-    kept = [((x0, y0), (x1, y1)) for x0, y0, x1, y1 in edge[involved].tolist() if (x0, y0) != (x1, y1)] + borders
-    parts = set(owner[np.concatenate(seams)].tolist())
-    rest = [rings for number, rings in enumerate(polygons) if number not in parts]
-    return [*rest, _walked(kept)] if kept else rest
-
-
-def _walked(edges: list[Edge]) -> Rings:
-    """Closed rings of the edges; an even number of them meets at every corner."""
-    ends: dict[tuple[float, float], list[int]] = defaultdict(list)
-    for number, edge in enumerate(edges):
-        for corner in edge:
-            ends[corner].append(number)
-    rings, used = [], [False] * len(edges)
-    for first, (start, _) in enumerate(edges):
-        if used[first]:
-            continue
-        ring, corner = [start], start
-        while True:
-            onward = ends[corner]
-            while onward and used[onward[-1]]:
-                onward.pop()
-            if not onward:
-                break
-            number = onward.pop()
-            used[number] = True
-            one, other = edges[number]
-            corner = other if corner == one else one
-            ring.append(corner)
-        rings.append(np.array(ring))
-    return rings
 
 
 # Shapes on the pixels of a map: points with a falloff, the inside of polygons, a map laid over another.

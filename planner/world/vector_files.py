@@ -7,19 +7,17 @@ import math
 import re
 import reprlib
 import sqlite3
-import struct
-from collections.abc import Callable, Iterable, Iterator
+import warnings
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
-from xml.etree.ElementTree import Element, TreeBuilder
-from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import MapError
-from planner.files import Json, check_size, library_errors, printable, read_json
+from planner.files import check_size, is_number, library_errors, printable, read_json
 from planner.world.grid import (
     FREE,
     HOW_TO_GIVE_ONE,
@@ -46,7 +44,6 @@ from planner.world.points import (
     MAX_CORNERS,
     Patch,
     Rings,
-    Unrolled,
     boxes_of,
     check_range,
     closed,
@@ -61,353 +58,6 @@ from planner.world.points import (
 from planner.world.raster_files import describe, true_metres
 from planner.world.robot_types import short_name
 from planner.world.world import MAX_CELLS
-
-# Shapefiles and GeoPackages as GeoJSON objects, by pyogrio (GDAL): only complete files without computed content.
-
-MOST_BYTES = 2**26
-"""Largest file of the two kinds, and of the parts of a shapefile (64 MiB)."""
-KINDS = {".shp": "a shapefile", ".gpkg": "a GeoPackage"}
-"""Suffixes of these files."""
-POLYGON, MULTIPOLYGON, POINT_BYTES = 3, 6, 16
-"""WKB: types of geometries, and the bytes of two float64."""
-OTHERS = {1: "Point", 2: "LineString", 4: "MultiPoint", 5: "MultiLineString", 7: "GeometryCollection", 16: "TIN"}
-WHOLE_FILE = "a file that was copied as a whole"
-
-
-def read_vectors(path: Path, number: str) -> tuple[list[Json], str | None]:
-    """Read the features of a shapefile or GeoPackage.
-
-    From a GeoPackage the only layer that may hold polygons; curves become short straight lines.
-
-    Args:
-        path: the file.
-        number: name of the field with numbers.
-
-    Returns:
-        (features as in GeoJSON, with that field and "name"; the CRS, None if the file names none).
-
-    Raises:
-        MapError: the file is incomplete, of another kind or too large, or pyogrio is missing.
-    """
-    pyogrio = _pyogrio(path)
-    check_size(path, MOST_BYTES, MapError, KINDS[path.suffix.lower()])
-    # GDAL would read an incomplete file as far as it goes, and polygons would be missing without an error.
-    (_check_shapefile if path.suffix.lower() == ".shp" else _check_geopackage)(path)
-    with library_errors("cannot be read", path, KINDS[path.suffix.lower()]):
-        layer = _layer(pyogrio.list_layers(path), path)
-        # Before GDAL reads the numbers, since it turns text into 0.
-        _check_numbers(_stored(path, layer, number), number, path)
-        fields = pyogrio.read_info(path, layer=layer)["fields"].tolist()
-        named = [field for field in fields if field.lower() in (number, "name")]
-        # Heights of the corners are not used, and a limit of features bounds the memory.
-        meta, _, shapes, columns = pyogrio.raw.read(
-            path, layer=layer, columns=named, force_2d=True, max_features=MAX_CORNERS
-        )
-    corners = sum(len(shape or b"") for shape in shapes) // POINT_BYTES
-    if corners > MAX_CORNERS:
-        raise MapError(f"some {corners} corners", source=path, expected=f"at most {MAX_CORNERS}", fix="simplify it")
-    said = {str(field).lower(): column.tolist() for field, column in zip(meta["fields"], columns, strict=True)}
-    features = [
-        {
-            # Only NaN differs from itself: that is how pyogrio returns an empty field.
-            "properties": {key: None if values[n] != values[n] else values[n] for key, values in said.items()},
-            "geometry": _geometry(shape),
-        }
-        for n, shape in enumerate(shapes)
-    ]
-    return features, meta["crs"]
-
-
-def _pyogrio(path: Path) -> Any:
-    try:
-        import pyogrio
-    except ImportError as missing:
-        fix = "pip install 'mrac-jax[geo]', or convert to GeoJSON"
-        raise MapError(f"reading {path.suffix} needs pyogrio", source=path, fix=fix) from missing
-    return pyogrio
-
-
-def _layer(layers: Any, path: Path) -> str:
-    """The only layer of polygons; layers of points and lines are ignored if there is one."""
-    names = [(str(name), str(kind)) for name, kind in layers if kind is not None and kind != "None"]
-    held = [name for name, kind in names if "Polygon" in kind or kind in ("Unknown", "GeometryCollection")]
-    if len(held) == 1 or (not held and len(names) == 1):
-        return held[0] if held else names[0][0]
-    if not names:
-        raise MapError("has no layer with places", source=path, expected="one layer of polygons")
-    said = ", ".join(printable(f"{name} ({kind})")[:40] for name, kind in names[:5])
-    fix = "copy the intended one into a separate file (ogr2ogr one.gpkg all.gpkg LAYER)"
-    raise MapError(f"its layers are {said}", source=path, expected="one layer of polygons", fix=fix)
-
-
-def _check_shapefile(path: Path) -> None:
-    """Raise an error unless the file, its index and its table exist and are as long as their headers say."""
-    for suffix in (".shp", ".shx", ".dbf"):
-        part = path if suffix == ".shp" else _beside(path, suffix)
-        if part is None:
-            if suffix == ".dbf":
-                continue  # without it only the numbers are missing
-            raise MapError(f"there is no {path.stem}{suffix} in its folder", source=path, expected="all of a shapefile")
-        check_size(part, MOST_BYTES, MapError, "a part of a shapefile")
-        with part.open("rb") as file:
-            head = file.read(100)
-        # 9994, big-endian, begins both the file and its index.
-        if suffix != ".dbf" and (len(head) < 100 or head[:4] != b"\x00\x00\x27\x0a"):
-            raise MapError(f"{part.name} is no part of a shapefile", source=path, expected=KINDS[".shp"])
-        if len(head) < 32:
-            raise MapError(f"{part.name} is cut off", source=path, expected=WHOLE_FILE)
-        records, skip, each = struct.unpack_from("<IHH", head, 4)
-        # A table counts bytes, the other two 16-bit words.
-        claimed = records * each + skip if suffix == ".dbf" else 2 * struct.unpack_from(">i", head, 24)[0]
-        if claimed > part.stat().st_size:
-            problem = f"{part.name} claims {claimed} bytes and has {part.stat().st_size}"
-            raise MapError(problem, source=path, expected=WHOLE_FILE)
-
-
-def _beside(path: Path, suffix: str) -> Path | None:
-    """The part of a shapefile with this suffix, in lower or upper case."""
-    return next((part for end in (suffix, suffix.upper()) if (part := path.with_suffix(end)).exists()), None)
-
-
-def _check_geopackage(path: Path) -> None:
-    """Raise an error unless it is a complete database with stored tables: a view may run forever."""
-    try:
-        with path.open("rb") as file:
-            if file.read(16) != b"SQLite format 3\0":
-                raise MapError("is no database of SQLite", source=path, expected=KINDS[".gpkg"])
-        # Read-only and immutable: SQLite then creates no journal in the user's folder.
-        uri = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
-        with contextlib.closing(sqlite3.connect(uri, uri=True)) as database:
-            # Opening a database does not check its pages.
-            (state,) = database.execute("PRAGMA quick_check(1)").fetchone()
-            if state != "ok":
-                raise MapError(f"is damaged ({printable(state)[:80]})", source=path, expected=WHOLE_FILE)
-            _check_tables(database, path)
-    except (sqlite3.Error, UnicodeDecodeError, OSError) as error:  # SQLite quotes damaged names in its errors
-        raise MapError(f"is damaged ({error})", source=path, expected=WHOLE_FILE) from error
-
-
-def _check_tables(database: sqlite3.Connection, path: Path) -> None:
-    kinds = dict(database.execute("SELECT name, type FROM sqlite_master"))
-    if kinds.get("gpkg_contents") != "table":
-        raise MapError("has no table gpkg_contents", source=path, expected=KINDS[".gpkg"])
-    # The limit bounds the work on a hostile file.
-    shown = {str(name) for (name,) in database.execute("SELECT table_name FROM gpkg_contents LIMIT 1000")}
-    for name in sorted((shown | {name for name in kinds if name.startswith("gpkg_")}) & kinds.keys()):
-        computed = database.execute("SELECT count(*) FROM pragma_table_xinfo(?) WHERE hidden > 1", (name,))
-        if kinds[name] == "view" or computed.fetchone()[0]:
-            problem = f"{printable(name)[:60]!r} is a view, or has computed columns"
-            fix = "copy it into a separate file (ogr2ogr)"
-            raise MapError(problem, source=path, expected="plain tables", fix=fix)
-
-
-def _check_numbers(stored: Iterable[object], number: str, path: Path) -> None:
-    """Raise an error for text instead of a number: GDAL reads it as 0, so that a threat would be lost."""
-    for index, value in enumerate(stored):
-        if isinstance(value, str | bytes):
-            text = value.decode("latin-1") if isinstance(value, bytes) else value
-            problem = f"features[{index}]: property {number} is {reprlib.repr(text)}, which is no number"
-            fix = "write it with a decimal point" if "," in text else ""
-            raise MapError(problem, source=path, expected="a number, or nothing", fix=fix)
-
-
-def _stored(path: Path, layer: str, number: str) -> Iterable[object]:
-    """Content of a field, feature by feature, before GDAL converts it to numbers."""
-    if path.suffix.lower() == ".shp":
-        table = _beside(path, ".dbf")
-        # Shapefiles keep their numbers in the table, as text of fixed width.
-        return () if table is None else _dbf_numbers(table.read_bytes(), number)
-    # The layer's name comes from the file: quotes in it are doubled.
-    uri, quoted = f"{path.resolve().as_uri()}?mode=ro&immutable=1", layer.replace('"', '""')
-    with contextlib.closing(sqlite3.connect(uri, uri=True)) as database:
-        names = [str(name) for (name,) in database.execute("SELECT name FROM pragma_table_info(?)", (layer,))]
-        if number not in map(str.lower, names):
-            return ()
-        rows = database.execute(f'SELECT "{number}" FROM "{quoted}" LIMIT {MAX_CORNERS}')
-        return [value for (value,) in rows]
-
-
-def _dbf_numbers(table: bytes, number: str) -> Iterator[object]:
-    """A numeric field in every record that is not deleted: None, a float, or bytes that are no number."""
-    records, skip, each = struct.unpack_from("<IHH", table, 4)
-    start = 1
-    # Descriptions of fields: 32 bytes each, after a header of 32 bytes.
-    for at in range(32, skip - 31, 32):
-        name, kind, width = table[at : at + 11].split(b"\0")[0], table[at + 11 : at + 12], table[at + 16]
-        if name.decode("latin-1").lower() == number and kind in (b"N", b"F"):
-            for record in range(skip, skip + records * each, each):
-                # An asterisk marks a deleted record; GDAL skips it too, so features and numbers stay aligned.
-                if table[record : record + 1] != b"*":
-                    yield _dbf_number(table[record + start : record + start + width].strip(b" \0"))
-            return
-        start += width
-
-
-def _dbf_number(text: bytes) -> float | bytes | None:
-    if not text or text.startswith(b"*"):
-        return None  # a number that did not fit into the field's width
-    return float(text) if re.fullmatch(rb"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text) else text
-
-
-def _geometry(shape: bytes | None) -> Json:
-    """A WKB geometry (little-endian, as GDAL's) as in GeoJSON; of other kinds than polygons the type only."""
-    if not shape:
-        return {"type": "none"}
-    # The first byte is the byte order, and then comes the type.
-    (kind,) = struct.unpack_from("<I", shape, 1)
-    if kind not in (POLYGON, MULTIPOLYGON):
-        return {"type": OTHERS.get(kind, f"number {kind} of WKB")}
-    if kind == POLYGON:
-        return {"type": "Polygon", "coordinates": _rings(shape, 0)[0]}
-    (parts,), at, polygons = struct.unpack_from("<I", shape, 5), 9, []
-    for _ in range(parts):
-        rings, at = _rings(shape, at)
-        polygons.append(rings)
-    return {"type": "MultiPolygon", "coordinates": polygons}
-
-
-def _rings(shape: bytes, at: int) -> tuple[list[list[list[float]]], int]:
-    """Rings of the polygon at that position, and its end."""
-    (count,), at, rings = struct.unpack_from("<I", shape, at + 5), at + 9, []
-    for _ in range(count):
-        (points,) = struct.unpack_from("<I", shape, at)
-        rings.append(np.frombuffer(shape, "<f8", 2 * points, at + 4).reshape(-1, 2).tolist())
-        at += 4 + POINT_BYTES * points
-    return rings, at
-
-
-# Polygons in KML and GPX. Entities are never expanded: a document type is rejected at once.
-
-Places = NDArray[np.float64]
-Placemark = tuple[float | str | None, list[list[Places]], str]
-"""(number, rings, place in the file)."""
-
-
-def read_kml(path: Path, most_bytes: int, name: str = "p") -> list[Placemark]:
-    """Read the Placemarks with polygons.
-
-    Args:
-        path: the file.
-        most_bytes: largest file.
-        name: of the Data or SimpleData element with the number.
-
-    Returns:
-        (number, its text if invalid, or None; polygons with rings `[points, 2]` of longitude and latitude; name).
-
-    Raises:
-        MapError: the file is invalid.
-    """
-    found: list[Placemark] = []
-    for index, place in enumerate(_named(read_xml(path, most_bytes, "kml"), "Placemark")):
-        polygons = []
-        for polygon in _named(place, "Polygon"):
-            borders = [*_named(polygon, "outerBoundaryIs"), *_named(polygon, "innerBoundaryIs")]
-            rings = [ring for border in borders for ring in _named(border, "coordinates")]
-            polygons.append([_markup_ring(_tuples(ring.text or ""), f"Placemark {index}", path) for ring in rings])
-            if not polygons[-1]:
-                raise MapError(f"Placemark {index}: a polygon without a boundary", source=path, expected="coordinates")
-        if polygons:
-            found.append((_kml_number(place, name), polygons, _own_name(place)))
-    return found
-
-
-def read_gpx(path: Path, most_bytes: int) -> list[Placemark]:
-    """Read every track and route as the closed line around an area: (None, polygons, name).
-
-    Those of fewer than three points, which are frequent in receivers' logs, enclose nothing and are left out.
-
-    Args:
-        path: the file.
-        most_bytes: largest file.
-
-    Raises:
-        MapError: the file is invalid.
-    """
-    found: list[Placemark] = []
-    for index, line in enumerate(_named(read_xml(path, most_bytes, "gpx"), "trk", "rte")):
-        points = [(point.get("lon"), point.get("lat")) for point in _named(line, "trkpt", "rtept")]
-        # Fewer than three points enclose no area.
-        if len(points) > 2:
-            found.append((None, [[_markup_ring(points, f"line {index}", path)]], _own_name(line)))
-    return found
-
-
-def read_xml(path: Path, most_bytes: int, root: str) -> Element:
-    """Read an XML file of a kind.
-
-    Args:
-        path: the file.
-        most_bytes: largest file.
-        root: name of the top element.
-
-    Returns:
-        The top element; names without namespaces.
-
-    Raises:
-        MapError: the file is invalid, or has a document type.
-    """
-    check_size(path, most_bytes, MapError, f"{root.upper()} (XML)")
-
-    # Entities are declared in a document type: without one, no entity can expand to gigabytes.
-    def refuse(*given: object) -> None:
-        raise MapError("has a document type (DOCTYPE)", source=path, expected="plain XML", fix="delete that line")
-
-    builder, parser = TreeBuilder(), expat.ParserCreate()
-    parser.StartDoctypeDeclHandler = refuse
-    parser.StartElementHandler = lambda name, attributes: builder.start(name.rpartition(":")[2], attributes)
-    parser.EndElementHandler = lambda name: builder.end(name.rpartition(":")[2])
-    parser.CharacterDataHandler = builder.data
-    try:
-        parser.Parse(path.read_bytes(), True)
-    except expat.ExpatError as error:
-        raise MapError(f"no XML ({error})", source=path, expected=f"{root.upper()}, whole") from error
-    except MapError:  # from `refuse`
-        raise
-    except (OSError, ValueError, LookupError) as error:  # not readable; an unknown encoding
-        raise MapError(f"cannot be read as XML ({error})", source=path, expected=root.upper()) from error
-    top = builder.close()
-    if top.tag.lower() != root:
-        raise MapError(f"its top element is {top.tag[:40]!r}", source=path, expected=root)
-    return top
-
-
-def _named(element: Element, *names: str) -> list[Element]:
-    return [one for one in element.iter() if one.tag in names]
-
-
-def _own_name(element: Element) -> str:
-    return short_name(next((child.text for child in element if child.tag == "name"), None))
-
-
-def _kml_number(place: Element, name: str) -> float | str | None:
-    for data in _named(place, "Data", "SimpleData"):
-        if data.get("name") == name:
-            text = "".join(data.itertext()).strip()
-            try:
-                return float(text)
-            except ValueError:
-                return text
-    return None
-
-
-def _tuples(text: str) -> list[tuple[str | None, str | None]]:
-    """KML's `lon,lat[,altitude] lon,lat[,altitude] ...`."""
-    parts = [part.split(",") for part in text.split()]
-    return [(part[0], part[1] if len(part) > 1 else None) for part in parts]
-
-
-def _markup_ring(points: list[tuple[str | None, str | None]], where: str, path: Path) -> Places:
-    try:
-        ring = np.array([(float(lon or "nan"), float(lat or "nan")) for lon, lat in points]).reshape(-1, 2)
-    except ValueError as error:
-        raise MapError(f"{where}: {error}", source=path, expected="longitude and latitude in degrees") from error
-    check_range(ring, f"{where}: ", path)
-    if len(ring) < 3:
-        raise MapError(f"{where} has {len(ring)} points", source=path, expected="three around an area, or more")
-    return ring
-
-
-# Polygons in metres of the map's frame: GeoJSON, KML, GPX, shapefiles, GeoPackages.
 
 
 class Feature(NamedTuple):
@@ -436,6 +86,180 @@ class Shapes(NamedTuple):
     features: list[Feature]
     crs: str | None = ""
     notes: tuple[str, ...] = ()
+
+
+# Shapefiles, GeoPackages, KML and GPX by GDAL (pyogrio). GDAL chooses its driver by content, and some drivers follow
+# links: the begin of a file is checked first. What GDAL would read as zero or leave out is an error.
+
+
+class Kind(NamedTuple):
+    """A kind of file that GDAL reads.
+
+    Attributes:
+        name: for messages.
+        most_bytes: largest file.
+        head: pattern of its begin.
+        misread: pattern of content that GDAL reads as zero, or leaves out, without an error.
+    """
+
+    name: str
+    most_bytes: int
+    head: bytes
+    misread: bytes | None = None
+
+
+MARKUP = rb"(?s)(?:\xef\xbb\xbf)?(?:\s|<\?.*?\?>|<!--.*?-->)*<(?:\w+:)?%s\b"
+"""Begin of XML with this top element, without a document type, whose entities may expand without end."""
+DEGREES = rb"""\s*=\s*["']\s*[-+]?[\d.][-+\d.eE]*\s*["']"""
+"""The number of an attribute."""
+KINDS = {
+    ".shp": Kind("a shapefile", 2**26, rb"\x00\x00\x27\x0a"),
+    ".gpkg": Kind("a GeoPackage", 2**26, rb"SQLite format 3\x00"),
+    ".kml": Kind("KML", MAX_BYTES, MARKUP % b"kml", rb"<(?:\w+:)?coordinates[^<>]*>[^<]*[^-+\d.,eE\s<]"),
+    ".gpx": Kind(
+        "GPX", MAX_BYTES, MARKUP % b"gpx",
+        rb"<(?:\w+:)?(?:trk|rte)pt\b(?!(?=[^>]*\blon" + DEGREES + rb")[^>]*\blat" + DEGREES + rb")[^>]*>",
+    ),
+}  # fmt: skip
+"""Kinds of files by suffix."""
+COMPUTED = """
+    SELECT name FROM sqlite_master AS one
+    WHERE (name LIKE 'gpkg%' OR name IN (SELECT table_name FROM gpkg_contents LIMIT 1000))
+    AND (type = 'view' OR EXISTS (SELECT 1 FROM pragma_table_xinfo(one.name) WHERE hidden > 1))
+"""
+"""Tables of a GeoPackage with computed content, which may be endless."""
+
+
+SOUND = f"rings of three finite points [x, y] or more, none beyond {FARTHEST:g}"
+
+
+def _gdal(path: Path, number: str) -> Shapes:
+    """The features of a shapefile, GeoPackage or KML file; open rings are closed, and curves become straight lines."""
+    suffix = path.suffix.lower()
+    kind = KINDS[suffix]
+    data = _checked(path, kind)
+    found: list[tuple[Any, Any, Any]] = []
+    with library_errors("cannot be read", path, kind.name), warnings.catch_warnings(record=True) as said:
+        import pyogrio
+        import shapely
+
+        warnings.simplefilter("always")
+        for layer in _layers(pyogrio.list_layers(path), path):
+            fields = pyogrio.read_info(path, layer=layer)["fields"].tolist()
+            named = {field.lower(): field for field in fields if field.lower() in (number, "name")}
+            if suffix == ".gpkg" and number in named:
+                # A database holds text in columns of numbers too, which GDAL reads as 0.
+                text = f"typeof({named[number]}) IN ('text', 'blob')"
+                _, wrong, *_ = pyogrio.raw.read(path, layer, where=text, read_geometry=False, return_fids=True)
+                if len(wrong):
+                    problem = f"feature {wrong[0]}: property {number} is text"
+                    raise MapError(problem, source=path, expected="a number, or nothing")
+            meta, _, shapes, columns = pyogrio.raw.read(path, layer, columns=[*named.values()], force_2d=True)
+            # Only NaN, GDAL's empty field of numbers, differs from itself.
+            given = ([None if value != value else value for value in column.tolist()] for column in columns)
+            values = dict(zip(named, given, strict=True))
+            parts = [values.get(name, [None] * len(shapes)) for name in (number, "name")]
+            found += zip(*parts, shapely.from_wkb(shapes, on_invalid="fix"), strict=True)
+    # GDAL reads text in a field of numbers as far as it understands it: "0,3" would be 0.
+    for problem in (str(warning.message) for warning in said if "parsed incompletely" in str(warning.message)):
+        raise MapError(problem, source=path, expected="a number, or nothing", fix="write it with a decimal point")
+    if suffix == ".shp" and not fields and any(path.with_suffix(end).exists() for end in (".dbf", ".DBF")):
+        raise MapError("its .dbf file cannot be read", source=path, expected=kind.name)
+    if suffix == ".kml":
+        found = [(value, name, held) for value, name, shape in found if (held := _polygons_of(shape))]
+        count = len(re.findall(rb"<(?:\w+:)?Polygon\b", re.sub(rb"(?s)<!--.*?-->", b"", data)))
+        if sum(len(shape.geoms) for _, _, shape in found) != count:
+            fix = "give every Placemark one geometry (MultiGeometry: several), and every polygon a boundary"
+            raise MapError(f"GDAL does not read all of its {count} polygons", source=path, fix=fix)
+    return Shapes([_feature(*given, index, path) for index, given in enumerate(found)], meta["crs"])
+
+
+def _gpx(path: Path, number: str) -> Shapes:
+    """Every route and track of a GPX file as the closed line around an area; its segments are joined.
+
+    Those of one or two points, which are frequent in receivers' logs, enclose nothing and are left out.
+    """
+    _checked(path, KINDS[".gpx"])
+    features: list[Feature] = []
+    with library_errors("cannot be read", path, "GPX"):
+        import pyogrio
+        import shapely
+
+        for line in ("route", "track"):
+            names = pyogrio.raw.read(path, f"{line}s", columns=["name"], read_geometry=False)[3][0]
+            keys = {"columns": [f"{line}_fid"], "force_2d": True}
+            _, _, points, (owner,) = pyogrio.raw.read(path, f"{line}_points", **keys)
+            corners = shapely.get_coordinates(shapely.from_wkb(points))
+            lines = ((corners[owner == number], name) for number, name in enumerate(names))
+            features += [Feature(None, [[ring]], short_name(name)) for ring, name in lines if len(ring) > 2]
+    return Shapes(features, WGS84)
+
+
+def _checked(path: Path, kind: Kind) -> bytes:
+    """Content of a file of that kind. Raises MapError for another, and for one that GDAL misreads or never ends."""
+    check_size(path, kind.most_bytes, MapError, kind.name)
+    with library_errors("cannot be read", path, kind.name):
+        data = path.read_bytes()
+    if re.match(kind.head, data) is None:
+        fix = "delete its document type (DOCTYPE)" if b"<!DOCTYPE" in data else ""
+        raise MapError(f"does not begin as {kind.name} does", source=path, expected=kind.name, fix=fix)
+    if kind.misread and (wrong := re.search(kind.misread, data)):
+        problem = f"has {printable(wrong[0].decode(errors='replace'))[-60:]!r}"
+        raise MapError(problem, source=path, expected="longitude and latitude in degrees")
+    if kind.name == "a GeoPackage":
+        # Read-only and immutable: SQLite then creates no journal in the user's folder.
+        uri = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
+        with library_errors("is damaged", path, kind.name), contextlib.closing(sqlite3.connect(uri, uri=True)) as file:
+            computed = file.execute(COMPUTED).fetchone()
+        if computed:
+            problem = f"{printable(computed[0])[:60]!r} is a view, or has computed columns"
+            fix = "copy it into a separate file (ogr2ogr)"
+            raise MapError(problem, source=path, expected="plain tables", fix=fix)
+    return data
+
+
+def _layers(layers: Any, path: Path) -> list[int]:
+    """Numbers of the layers to read: all of KML, else the only one of polygons."""
+    if path.suffix.lower() == ".kml":
+        return list(range(len(layers)))
+    kinds = {number: str(kind) for number, (_, kind) in enumerate(layers) if kind is not None}
+    held = [number for number, kind in kinds.items() if re.search("Polygon|Surface|Unknown|GeometryCollection", kind)]
+    held = held or list(kinds)
+    if len(held) != 1:
+        said = ", ".join(printable(f"{name} ({kind})")[:40] for name, kind in layers[:5])
+        fix = "copy the intended one into a separate file (ogr2ogr one.gpkg all.gpkg LAYER)"
+        raise MapError(f"its layers are {said}", source=path, expected="one layer of polygons", fix=fix)
+    return held
+
+
+def _polygons_of(shape: Any) -> Any:
+    """The polygons of a shape, also within collections, as one shape; None: it has none."""
+    import shapely
+
+    held = [part for part in shapely.get_parts(shapely.get_parts(shape)) if part.geom_type == "Polygon"]
+    return shapely.MultiPolygon(held) if held else None
+
+
+def _feature(number: Any, name: Any, shape: Any, index: int, path: Path) -> Feature:
+    """A feature with the values that GDAL or JSON has for it, and its shape."""
+    import shapely
+
+    kind = "none" if shape is None else shape.geom_type
+    if kind not in ("Polygon", "MultiPolygon"):
+        problem = f"features[{index}]: geometry is {kind!r}"
+        raise MapError(problem, source=path, expected="Polygon or MultiPolygon")
+    rings = [shapely.get_rings(part) for part in shapely.get_parts(shape)]
+    polygons = [[shapely.get_coordinates(ring) for ring in part] for part in rings]
+    # A ring of three points has four, as the last is the first.
+    sound = [len(ring) > 3 and (np.abs(ring) <= FARTHEST).all() for part in polygons for ring in part]
+    if not all(sound) or not all(polygons):
+        raise MapError(f"features[{index}]: wrong coordinates", source=path, expected=SOUND)
+    if isinstance(number, str) and path.suffix.lower() == ".kml" and is_number(number):
+        number = float(number)
+    return Feature(number, polygons, short_name(name))
+
+
+# Polygons of any file in metres of the map's frame.
 
 
 def read_polygons(
@@ -486,14 +310,8 @@ def _on_map(features: list[Feature], crs: str, frame: Frame, georeference: Geore
     corners = frame.at([0, 0, *frame.shape[:1] * 2], [0, frame.shape[1]] * 2)[:, 0]
     # A turn in metres of the frame: the interval of x in which polygons are looked for.
     place = float(corners.min()), float(corners.max()), turn_of(georeference.crs)[0] / georeference.scale[0]
-    return [
-        feature._replace(
-            polygons=unrolled(
-                [[georeference.from_crs(ring, crs) for ring in rings] for rings in feature.polygons], *place
-            ).areas
-        )
-        for feature in features
-    ]
+    moved = [[[georeference.from_crs(ring, crs) for ring in rings] for rings in of.polygons] for of in features]
+    return [of._replace(polygons=unrolled(areas, *place)[0]) for of, areas in zip(features, moved, strict=True)]
 
 
 def read_shapes(path: Path, of: Quantity = THREAT) -> Shapes:
@@ -552,58 +370,34 @@ def _crs(shapes: Shapes, frame: Frame, georeference: Georeference, path: Path) -
 
 
 def _geojson(path: Path, number: str) -> Shapes:
+    """The features of a GeoJSON file. GDAL does not tell a file without a CRS from one in degrees, or 1 from true."""
+    from shapely.geometry import shape
+
     data = read_json(path, MAX_BYTES, MapError, "GeoJSON")
-    crs = data.get("crs") if isinstance(data, dict) else None
-    properties = crs.get("properties") if isinstance(crs, dict) else None
-    name = properties.get("name") if isinstance(properties, dict) else None
-    return Shapes(_read(_features(data, path), number, path), name if isinstance(name, str) else "")
+    crs, found = "", []
+    with contextlib.suppress(KeyError, TypeError):  # none, or none that is named
+        crs = str(data["crs"]["properties"]["name"])
+    with library_errors("is no GeoJSON", path, "a FeatureCollection, Feature or Polygon, features with properties"):
+        kind = data["type"]
+        features = (
+            data["features"] if kind == "FeatureCollection" else [data if kind == "Feature" else {"geometry": data}]
+        )
+        given = [(of.get("properties") or {}, of.get("geometry")) for of in features]
+        values = [(said.get(number), said.get("name"), geometry) for said, geometry in given]
+    for index, (value, name, geometry) in enumerate(values):
+        with library_errors(f"features[{index}]: wrong coordinates", path, SOUND):
+            flat = geometry and shape({**geometry, "coordinates": _flat(geometry.get("coordinates", []))})
+            found.append(_feature(value, name, flat, index, path))
+    return Shapes(found, crs)
 
 
-def _vectors(path: Path, number: str) -> Shapes:
-    features, crs = read_vectors(path, number)
-    return Shapes(_read(features, number, path), crs)
-
-
-def _read(features: list[Json], number: str, path: Path) -> list[Feature]:
-    found: list[Feature] = []
-    for index, feature in enumerate(features):
-        said = feature.get("properties") or {}
-        polygons = list(_polygons(feature.get("geometry"), f"features[{index}]", path))
-        found.append(Feature(said.get(number), polygons, short_name(said.get("name"))))
-    return found
-
-
-def _features(data: Any, path: Path) -> list[Json]:
-    kind = data.get("type") if isinstance(data, dict) else None
-    features = [data] if kind == "Feature" else [{"geometry": data}] if kind in ("Polygon", "MultiPolygon") else None
-    if kind == "FeatureCollection":
-        features = data.get("features")
-    if not isinstance(features, list) or not all(isinstance(feature, dict) for feature in features):
-        raise MapError(f"its type is {str(kind)[:40]!r}", source=path, expected="FeatureCollection, Feature or Polygon")
-    for index, feature in enumerate(features):
-        if not isinstance(feature.get("properties") or {}, dict):
-            raise MapError(
-                f"features[{index}]: properties are no object", source=path, expected="properties with numbers"
-            )
-    return features
-
-
-def _polygons(geometry: Any, where: str, path: Path) -> Iterator[Rings]:
-    kind = geometry.get("type") if isinstance(geometry, dict) else None
-    if kind not in ("Polygon", "MultiPolygon"):
-        problem = f"{where}: geometry is {str(kind)[:40]!r}"
-        raise MapError(problem, source=path, expected="Polygon or MultiPolygon")
-    parts = [geometry.get("coordinates")] if kind == "Polygon" else geometry.get("coordinates")
-    try:
-        for part in parts:
-            rings = [np.array([_corner(point) for point in ring], dtype=np.float64) for ring in part]
-            if not rings or any(len(ring) < 3 for ring in rings):
-                raise ValueError("a ring of fewer than three points")
-            yield rings
-    except (TypeError, ValueError, KeyError) as error:
-        problem = f"{where}: wrong coordinates ({error})"
-        expected = f"rings of three finite points [x, y] or more, in metres, none beyond {FARTHEST:g}"
-        raise MapError(problem, source=path, expected=expected) from error
+def _flat(places: Any) -> Any:
+    """Nested coordinates without heights. Raises ValueError for a point without two numbers."""
+    if isinstance(places, list) and all(isinstance(place, list) for place in places):
+        return [_flat(place) for place in places]
+    if not isinstance(places, list) or len(places) < 2 or not all(map(COORDINATE.accepts, places[:2])):
+        raise ValueError(f"a point is {reprlib.repr(places)}")
+    return places[:2]
 
 
 def _polygons_ring(path: Path) -> Shapes:
@@ -614,20 +408,11 @@ def _polygons_ring(path: Path) -> Shapes:
     return Shapes([Feature(None, [[corners]])], WGS84 if degrees else "", notes)
 
 
-def _corner(point: Any) -> list[float]:
-    """x and y of a GeoJSON position; ValueError unless they are plausible numbers."""
-    ok = isinstance(point, list) and len(point) >= 2
-    if not ok or not all(COORDINATE.accepts(value) for value in point[:2]):
-        raise ValueError(f"a point is {reprlib.repr(point)}")
-    return [float(value) for value in point[:2]]
-
-
 READERS: dict[str, Callable[[Path, str], Shapes]] = {
     **dict.fromkeys((".geojson", ".json"), _geojson),
-    ".kml": lambda path, number: Shapes([Feature(*each) for each in read_kml(path, MAX_BYTES, number)], WGS84),
-    ".gpx": lambda path, number: Shapes([Feature(*each) for each in read_gpx(path, MAX_BYTES)], WGS84),
     ".csv": lambda path, number: _polygons_ring(path),
-    **dict.fromkeys(KINDS, _vectors),
+    **dict.fromkeys(KINDS, _gdal),
+    ".gpx": _gpx,
 }
 """Readers of polygons by file suffix; the second argument is the name of their number."""
 
@@ -663,7 +448,7 @@ def read_field(
         MapError: the file is invalid, or no cell is free.
     """
     shapes = read_shapes(path)
-    (polygons, borders), place, notes = _in_metres(shapes, path, cell_size)
+    polygons, is_cut, place, notes = _in_metres(shapes, path, cell_size)
     notes = (*shapes.notes, *notes)
     blocks = 1 if swath is None else round(swath / cell_size)
     frame = _frame(polygons, cell_size, path, direction, blocks)
@@ -672,9 +457,10 @@ def read_field(
     held, crossed = np.zeros(frame.shape, dtype=bool), np.zeros(frame.shape, dtype=bool)
     for rings in polygons:
         held |= inside(rings, frame)
-    # Borders, not areas: the edge at which a shape was cut at longitude 180 is inside the field.
-    for rings in borders if boundary == "whole" else ():
-        crossed |= touched(rings, frame)
+    if boundary == "whole":
+        # The edge at which a shape was cut at longitude 180 is inside the field, and no border of the union.
+        for rings in _union(polygons) if is_cut else polygons:
+            crossed |= touched(rings, frame)
     free = held & ~crossed
     if not free.any():
         raise _no_cell(polygons, place, cell_size, boundary, path)
@@ -689,6 +475,16 @@ def read_field(
     state = np.where(free, FREE, OCCUPIED).astype(np.uint8)
     worth = None if swath is None else np.ones(frame.shape)
     return Grid(state, frame, str(path), notes=notes, georeference=place, value=worth, swath=swath)
+
+
+def _union(polygons: list[Rings]) -> list[Rings]:
+    """The union of polygons."""
+    import shapely
+
+    with library_errors("its parts across longitude 180 cannot be joined"):
+        areas = shapely.make_valid([shapely.Polygon(rings[0], rings[1:]) for rings in polygons])
+        rings = [shapely.get_rings(part) for part in shapely.get_parts(shapely.union_all(areas))]
+    return [[shapely.get_coordinates(ring) for ring in part] for part in rings]
 
 
 def touched(rings: Rings, frame: Frame) -> NDArray[np.bool_]:
@@ -757,8 +553,11 @@ def _frame(polygons: list[Rings], cell_size: float, path: Path, yaw: float, bloc
     return Frame((height, width), cell_size, (cos * left - sin * bottom, sin * left + cos * bottom, yaw))
 
 
-def _in_metres(shapes: Shapes, path: Path, cell_size: float) -> tuple[Unrolled, Georeference | None, tuple[str, ...]]:
-    """The polygons in metres of the map's frame, its position on the Earth, and notes."""
+Placed = tuple[list[Rings], bool, Georeference | None, tuple[str, ...]]
+"""Polygons in metres of the map's frame, whether they were cut at longitude 180, position on the Earth, notes."""
+
+
+def _in_metres(shapes: Shapes, path: Path, cell_size: float) -> Placed:
     polygons = [rings for feature in shapes.features for rings in feature.polygons]
     if not polygons:
         raise MapError("holds no polygon", source=path, expected="the boundary of a field")
@@ -773,11 +572,7 @@ def _in_metres(shapes: Shapes, path: Path, cell_size: float) -> tuple[Unrolled, 
         raise MapError("names no CRS, and looks like degrees", source=path, expected="a CRS", fix=fix)
     crs = shapes.crs or (WGS84 if shapes.crs == "" and small else "")
     if not crs:
-        return (
-            Unrolled(polygons, polygons),
-            None,
-            ("its coordinates are read as metres of a local frame: it names no CRS",),
-        )
+        return polygons, False, None, ("its coordinates are read as metres of a local frame: it names no CRS",)
     if crs == WGS84:
         return _degrees(polygons, path, cell_size)
     with library_errors(f"its CRS is {crs[:60]!r}", path, "a CRS that PROJ knows, in degrees or metres"):
@@ -789,10 +584,11 @@ def _in_metres(shapes: Shapes, path: Path, cell_size: float) -> tuple[Unrolled, 
         unit = float(known.linear_units_factor[1])
     place, turn = Georeference(crs, scale=(1 / unit, 1 / unit)), turn_of(crs)[0]
     polygons, width = closed(polygons, turn, cell_size / unit)
-    shape = unrolled(polygons, *extent(corners[:, 0], turn), turn)
-    if not all(COORDINATE.accepts(float(np.abs(ring).max() * unit)) for rings in shape.areas for ring in rings):
+    areas, is_cut = unrolled(polygons, *extent(corners[:, 0], turn), turn)
+    moved = [[ring * unit for ring in rings] for rings in areas]
+    if not all(COORDINATE.accepts(float(np.abs(ring).max())) for rings in moved for ring in rings):
         raise MapError("a corner too far away", source=path, expected=COORDINATE.expected)
-    return _moved(shape, lambda ring: ring * unit), place, _of_the_cut(width * unit, cell_size)
+    return moved, is_cut, place, _of_the_cut(width * unit, cell_size)
 
 
 def _spans_a_field(corners: NDArray[np.float64]) -> bool:
@@ -803,12 +599,6 @@ def _spans_a_field(corners: NDArray[np.float64]) -> bool:
     return bool(about and east - west <= WIDEST and np.ptp(corners[:, 1]) <= WIDEST and in_range(corners).all())
 
 
-def _moved(shape: Unrolled, to: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Unrolled:
-    """The shape with transformed rings."""
-    areas, borders = ([[to(ring) for ring in rings] for rings in part] for part in shape)
-    return Unrolled(areas, borders)
-
-
 def _of_the_cut(width: float, cell_size: float) -> tuple[str, ...]:
     """A note on parts with a gap of at least 1 cm where longitudes wrap."""
     if width < 0.01:
@@ -817,7 +607,7 @@ def _of_the_cut(width: float, cell_size: float) -> tuple[str, ...]:
     return (f"its parts, {width:.2g} m apart where longitudes come round, {what}",)
 
 
-def _degrees(polygons: list[Rings], path: Path, cell_size: float) -> tuple[Unrolled, Georeference, tuple[str, ...]]:
+def _degrees(polygons: list[Rings], path: Path, cell_size: float) -> Placed:
     corners = np.concatenate([ring for rings in polygons for ring in rings])
     check_range(corners, "", path)
     (west, east), (south, north) = extent(corners[:, 0], TURN), (corners[:, 1].min(), corners[:, 1].max())
@@ -831,12 +621,9 @@ def _degrees(polygons: list[Rings], path: Path, cell_size: float) -> tuple[Unrol
     note = f"degrees: worked on in metres east and north of {describe(west, float(south))}"
     note += f", {100 * off:.2g} % off at the edges" if off > 1e-3 else ""
     polygons, width = closed(polygons, TURN, cell_size / across)
-    shape = unrolled(polygons, west, east, TURN)
-    return (
-        _moved(shape, lambda ring: place.from_crs(ring, WGS84)),
-        place,
-        (note, *_of_the_cut(width * across, cell_size)),
-    )
+    areas, is_cut = unrolled(polygons, west, east, TURN)
+    moved = [[place.from_crs(ring, WGS84) for ring in rings] for rings in areas]
+    return moved, is_cut, place, (note, *_of_the_cut(width * across, cell_size))
 
 
 # Keep-out areas of a scenario as obstacles of the map: polygons, and occupied pixels of another map.
