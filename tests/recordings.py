@@ -16,10 +16,9 @@ from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from analysis.recording.container import LogSchema, LogWriter, open_log
+from analysis.recording.container import Log, LogMessage, LogSchema, LogWriter, open_log
 from analysis.recording.record import Request, record
 from planner.make_plan import make_plan
-from planner.mcap import LogMessage
 from planner.plan.plan import Plan, RobotPlan
 from planner.settings import Settings
 from planner.world.generate import ThreatPattern, random_world
@@ -73,7 +72,7 @@ def rewrite(
     """A valid copy of a log with something changed: `attachments` by name (None: left out), the rest by functions."""
     log, replaced = open_log(source), attachments or {}
     channels = {channel.topic: channel for channel in log.channels.values()}
-    with LogWriter(target, ordered=False) as out:
+    with LogWriter(target) as out:
         for attached in log.attachments:
             data = replaced.get(attached.name, attached.data)
             if data is not None:
@@ -171,7 +170,6 @@ def sample(path: Path, messages: int = 60, chunk_size: int = 700, seed: int = 1)
             log.write(ids[topic], i * 10, data)
             if i == messages // 2:
                 log.attach("tally.json", "application/json", b'{"visited": 3}')
-        log.flush()
         log.attach("last.bin", "application/octet-stream", draws.bytes(30))
         log.metadata("end", {"outcome": "complete"})
     return said
@@ -185,7 +183,7 @@ def parts_of(data: bytes) -> list[Part]:
         opcode, length = struct.unpack_from("<BQ", data, at)
         end, said = at + 9 + length, ()
         if opcode == Opcode.CHUNK:
-            record = next(StreamReader(stream_of(data[at:end]), skip_magic=True, emit_chunks=True).records)
+            record = next(StreamReader(io.BytesIO(data[at:end]), skip_magic=True, emit_chunks=True).records)
             assert isinstance(record, Chunk)
             inner = [message for message in breakup_chunk(record, validate_crc=True) if isinstance(message, Message)]
             said = tuple((topics[m.channel_id], m.log_time, m.sequence, m.data) for m in inner)
@@ -194,14 +192,15 @@ def parts_of(data: bytes) -> list[Part]:
     return found
 
 
-def stream_of(data: bytes) -> io.BytesIO:
-    return io.BytesIO(data)
-
-
 def topics_of(data: bytes) -> dict[int, str]:
-    summary = SeekingReader(stream_of(data)).get_summary()
+    summary = SeekingReader(io.BytesIO(data)).get_summary()
     assert summary is not None
     return {number: channel.topic for number, channel in summary.channels.items()}
+
+
+def said_in(log: Log) -> list[Said]:
+    """The messages by our own reader."""
+    return [(m.topic, m.log_time, m.sequence, m.data) for m in log.messages()]
 
 
 def heard(path: Path) -> list[Said]:

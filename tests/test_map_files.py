@@ -602,18 +602,9 @@ def log(path: Path, *messages: tuple[str, bytes], kind: str = KIND, encoding: st
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
-def test_a_chunk_that_unpacks_to_more_than_it_claims(tmp_path: Path, compression: CompressionType) -> None:
-    values = np.zeros((30, 40))
-    data = log(tmp_path / "a.mcap", ("/map", grid(values)), compression=compression).read_bytes()
-    assert load_input(tmp_path / "a.mcap").free.all()
-    chunk = data.index(b"\x06", 8)  # its opcode; then its length, two times, and how long it is unpacked
-    (claimed,) = struct.unpack_from("<Q", data, chunk + 25)
-    assert 1200 < claimed < 2000
-    for lie in (claimed - 1, 100, 2**40):
-        hostile = data[: chunk + 25] + struct.pack("<Q", lie) + data[chunk + 33 :]
-        (tmp_path / "a.mcap").write_bytes(hostile)
-        with pytest.raises(MapError, match=r"a chunk with a wrong checksum or size|a chunk of 1099511627776 bytes"):
-            load_input(tmp_path / "a.mcap")
+def test_a_map_in_a_chunk_of_any_compression(tmp_path: Path, compression: CompressionType) -> None:
+    path = log(tmp_path / "a.mcap", ("/map", grid(np.zeros((30, 40)))), compression=compression)
+    assert load_input(path).free.all()
 
 
 @pytest.mark.parametrize("frame", ["", "m", "map", "odom", "a_map"])
@@ -653,7 +644,7 @@ def test_logs_that_are_refused(tmp_path: Path) -> None:
     for size in (0, 7, 8, 40, len(data) // 2, len(data) - 9):
         (tmp_path / "a.mcap").write_bytes(data[:size])
         words = (
-            r"is empty|cannot be read as MCAP"
+            r"is empty|is not an MCAP file"
             if size < 8
             else r"truncated.*try `mrac-jax inspect --repair OUT .*/a\.mcap`"
         )
@@ -795,7 +786,7 @@ def test_what_was_recovered_is_read_in_place_of_the_damaged_log(tmp_path: Path) 
 
 
 def test_a_cut_log_names_what_saves_its_maps(tmp_path: Path) -> None:
-    """`recover`, which then gives back the map; for messages under no checksums the tool that does without them."""
+    """`recover`, which then gives back the map, also from chunks without checksums; not from messages in no chunk."""
     messages = [(time, "/map", FIRST) for time in range(200)]
     data = timed(tmp_path / "whole.mcap", *messages, chunk_size=2000).read_bytes()
     cut = tmp_path / "cut.mcap"
@@ -805,15 +796,15 @@ def test_a_cut_log_names_what_saves_its_maps(tmp_path: Path) -> None:
             InputError, match=r"truncated or damaged: .*; try `mrac-jax inspect --repair OUT .*/cut\.mcap`"
         ):
             read(cut)
-    recover(cut, tmp_path / "new.mcap")
-    assert obstacle(load_input(tmp_path / "new.mcap")) == [[2, 0]]
-    for options in ({"use_chunking": False}, {"enable_crcs": False, "chunk_size": 2000}):
-        data = timed(tmp_path / "whole.mcap", *messages, **options).read_bytes()
+    for options in ({}, {"enable_crcs": False}):
+        data = timed(tmp_path / "whole.mcap", *messages, chunk_size=2000, **options).read_bytes()
         cut.write_bytes(data[: len(data) // 2])
-        with pytest.raises(MapError, match="are under no checksums: try `mcap recover` of the MCAP command line tools"):
-            load_input(cut)
-        with pytest.raises(InputError, match=r"holds nothing that can be saved.*try `mcap recover`"):
-            recover(cut, tmp_path / "none.mcap")
+        recover(cut, tmp_path / "new.mcap")
+        assert obstacle(load_input(tmp_path / "new.mcap")) == [[2, 0]]
+    data = timed(tmp_path / "whole.mcap", *messages, use_chunking=False).read_bytes()
+    cut.write_bytes(data[: len(data) // 2])
+    with pytest.raises(InputError, match="holds nothing that can be saved"):
+        recover(cut, tmp_path / "none.mcap")
 
 
 def test_values_between_the_thresholds_of_a_logged_map_are_counted(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from analysis.inputs import Asked, load_or_make_plan
 from analysis.pictures import OBSTACLE, SAFE, picture_style
 from analysis.recording import contents
 from analysis.recording import pictures as animation
-from analysis.recording.container import open_log, recover
+from analysis.recording.container import LogMessage, open_log, recover
 from analysis.recording.contents import read_outcomes, read_rollouts
 from analysis.recording.frames import AreaMap, Held, area_maps, event_line, make_frames
 from analysis.recording.pictures import RolloutPicture, animation_gif, boxes_for, durations, picture_png, shown_steps
@@ -34,7 +34,6 @@ from analysis.recording.viewers.topics import DATA_TOPICS, Stage
 from planner.errors import InputError, UsageError
 from planner.files import npz_bytes
 from planner.make_plan import make_plan
-from planner.mcap import LogMessage
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop, trace_rollouts
 from planner.rollouts.open_loop import compile_plan

@@ -399,7 +399,6 @@ def _write(
         row = _row(trace, picks, stage)
         for message in messages:
             write(message)
-        log.flush()
         if not done.rows:
             done.first = trace
         done.rows.append(row)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.recording import contents
-from analysis.recording.container import RECOVERED, Log, Recovered, open_log
+from analysis.recording.container import RECOVERED, Log, LogMessage, Recovered, open_log
 from analysis.recording.contents import RecordedOutcomes, RecordedRollout, decode, outcomes_of_log, rollouts_of
 from analysis.recording.frames import end_text, event_line
 from analysis.recording.record import (
@@ -39,7 +39,6 @@ from planner.errors import PER_VISIT, InputError, PlanError
 from planner.files import Json
 from planner.formatting import counted, in_percent
 from planner.make_plan import confirm_plan, make_plan
-from planner.mcap import LogMessage
 from planner.plan.plan import Plan
 from planner.simulator.codes import EventKind
 from planner.tally import RolloutResults

@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.reader import NonSeekingReader
 from numpy.typing import NDArray
 
 from planner.arguments import Numbers, argument, did_you_mean, whole
 from planner.errors import MapError
 from planner.files import Json, check_file, check_size, library_errors, read_json, why_no_file
 from planner.formatting import counted
-from planner.mcap import MAGIC, Damaged, Descriptions, all_records, mapped, refusal
+from planner.mcap import damage_reported, mapped
 from planner.world.grid import FREE, OCCUPIED, Frame, Grid
 from planner.world.image_files import FULL, NO_VALUE, RosMap, image_grid, read_ros_map
 from planner.world.image_files import SUFFIXES as IMAGES
@@ -138,21 +139,16 @@ def _listed(topics: dict[str, str]) -> str:
 def _add_grids(path: Path, grids: dict[str, tuple[int, bytes]], others: dict[str, str]) -> None:
     """Add log time and data of the latest grid of each topic of a file, and the types of topics without grids."""
     check_size(path, MAX_BYTES, MapError, "a log", "cut the map's topic out")
-    data = mapped(path, MapError)
-    if data[: len(MAGIC)] != MAGIC:
-        raise MapError("cannot be read as MCAP: its first bytes are not those of one", source=path, expected="a log")
-    try:
-        if data[-len(MAGIC) :] != MAGIC or len(data) < 2 * len(MAGIC):
-            raise Damaged("the end is missing")
-        for message in Descriptions().messages(all_records(data[len(MAGIC) : -len(MAGIC)])):
-            kind, encoding = message.schema.name if message.schema else "no type", message.channel.message_encoding
-            if kind == SCHEMA and encoding == ENCODING:
-                if message.log_time >= grids.get(message.topic, (0, b""))[0]:
-                    grids[message.topic] = message.log_time, message.data
+    reader = NonSeekingReader(mapped(path, MapError), validate_crcs=True)  # in the file's order, chunk by chunk
+    with damage_reported(path, MapError):
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            kind = schema.name if schema else "no type"
+            if (kind, channel.message_encoding) == (SCHEMA, ENCODING):
+                if message.log_time >= grids.get(channel.topic, (0, b""))[0]:
+                    grids[channel.topic] = message.log_time, message.data
             elif len(others) < MOST_TOPICS:
-                others[message.topic] = kind if encoding == ENCODING else f"{kind}, {encoding}"
-    except Damaged as error:
-        raise refusal(path, str(error), data, MapError) from error
+                said = channel.message_encoding
+                others[channel.topic] = kind if said == ENCODING else f"{kind}, {said}"
 
 
 def _decode(data: bytes, path: Path) -> RosMap:
