@@ -444,7 +444,7 @@ def _at(table: jax.Array, places: jax.Array) -> jax.Array:
 
 
 class JaxOpenLoop:
-    """The JAX engine for one plan and seed (see `planner.rollouts.open_loop.OpenLoopKernel`).
+    """The JAX engine for one plan and seed (see `planner.rollouts.open_loop.MakeKernel`).
 
     Ids are divided among *streams*: one for each GPU, or for each core of a CPU. Each stream runs the same program on
     its own ids with its own sums. Streams exchange nothing, so counts do not depend on their number or on the devices.

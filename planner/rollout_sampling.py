@@ -10,8 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import WorldError
 from planner.failure_model import PLAIN, FailureModel, exposure_of, own_key
+from planner.simulator.codes import NO_CELL
+from planner.simulator.searches import neighbour_table
 from planner.simulator.thresholds import threefry2x32
-from planner.world.moving_threats import ANYWHERE, MovingThreats, Phases
+from planner.world.moving_threats import ANYWHERE, MovingThreats
 from planner.world.uncertain_maps import HAZARD_DRAW, MAP_DRAW, UNIT, Hazard, Uncertain, bounds_of
 from planner.world.world import World
 
@@ -27,59 +29,38 @@ class Luck:
     """
 
     def __init__(self, world: World, seed: int, rollout: int, failure_model: FailureModel = PLAIN) -> None:
-        types = failure_model.types
-        self._own = world.of_robots(types, len(types) if isinstance(types, tuple) else 1)
-        self._world, self._seed, self._rollout, self._bearing = world, seed, rollout, failure_model
-        self._tolerance: dict[int, int] = {}
+        types, uncertainty = failure_model.types, world.uncertainty
+        self._world, self._seed, self._rollout, self._failures = world, seed, rollout, failure_model
+        self._threat = [of.by_phase for of in world.of_robots(types, len(types) if isinstance(types, tuple) else 1)]
+        if isinstance(uncertainty, Hazard):
+            self._threat = [np.where(hazards_met(uncertainty, seed, rollout), uncertainty.h.ravel(), np.float32(0))]
+        elif isinstance(uncertainty, Uncertain):
+            self._threat = [true_map(uncertainty, seed, rollout)]
+        self._consumes = isinstance(uncertainty, Hazard) and uncertainty.kind == "consumed"
+        self._threshold: dict[int, int] = {}
         self._spent: set[int] = set()
-        self._exposure: defaultdict[int, int] = defaultdict(int)
+        self._hazard: defaultdict[int, int] = defaultdict(int)
 
     def hits(self, robot: int, step: int, cell: int) -> bool:
         """Whether the robot is lost as it enters the cell at this step."""
-        chance = self._chance(robot, cell, step)
-        if chance == 0 or not self._reaches_threshold(robot, chance):
+        (visit,) = self._world.visits(np.array([cell]), step).tolist()
+        chance = self._threat[min(robot, len(self._threat) - 1)].ravel()[visit]
+        if chance == 0 or cell in self._spent or not self._reaches_threshold(robot, chance):
             return False
-        if isinstance(self._world.uncertainty, Hazard) and self._world.uncertainty.kind == "consumed":
+        if self._consumes:
             # The first loss consumes the hazard for the rest of the rollout.
             self._spent.add(cell)
         return True
 
     def _reaches_threshold(self, robot: int, chance: np.float32) -> bool:
-        if robot not in self._tolerance:
-            self._tolerance[robot] = int(self._bearing.tolerances(self._seed, [self._rollout], robot + 1)[0, robot])
-        self._exposure[robot] += _exposure(chance)
-        return self._exposure[robot] >= self._tolerance[robot]
+        if robot not in self._threshold:
+            self._threshold[robot] = int(self._failures.tolerances(self._seed, [self._rollout], robot + 1)[0, robot])
+        self._hazard[robot] += _exposure(chance)
+        return self._hazard[robot] >= self._threshold[robot]
 
     def borne(self, robot: int) -> int:
         """The robot's cumulative hazard so far, that before the rollout included."""
-        return self._exposure[robot] + (self._bearing.begun[robot] if self._bearing.begun else 0)
-
-    def _chance(self, robot: int, cell: int, step: int) -> np.float32:
-        """Probability that a visit of the cell in this step, in its state in this rollout, destroys the robot."""
-        uncertainty = self._world.uncertainty
-        place = np.unravel_index(cell, self._world.shape)
-        if isinstance(uncertainty, Phases):
-            return uncertainty.threats[uncertainty.number_at(step)][place]
-        if uncertainty is None or isinstance(uncertainty, MovingThreats):
-            return self._own[min(robot, len(self._own) - 1)].met[place]
-        if isinstance(uncertainty, Hazard):
-            return uncertainty.h[place] if self._are_there(uncertainty, np.array([cell]))[0] else np.float32(0)
-        return uncertainty.chances[self._row(uncertainty, int(uncertainty.number[place])), uncertainty.column[place]]
-
-    def _are_there(self, uncertainty: Hazard, cells: NDArray[np.integer]) -> NDArray[np.bool_]:
-        """Whether a hazard exists in each of the cells `[n]`, and has not been consumed."""
-        words, _ = threefry2x32(own_key(self._seed, HAZARD_DRAW), self._rollout, cells)
-        drawn = (words >> np.uint32(8)) < uncertainty.q.ravel()[cells].astype(np.float64) * UNIT
-        return np.asarray(drawn & ~np.isin(cells, list(self._spent)))
-
-    def _row(self, uncertainty: Uncertain, number: int) -> int:
-        """Index of the true map, or of the map for a level."""
-        return self._number(MAP_DRAW, number) * uncertainty.count // UNIT
-
-    def _number(self, purpose: int, counter: int) -> int:
-        """u * 2**24 of the numbers that determine the true map of the rollout."""
-        word, _ = threefry2x32(own_key(self._seed, purpose), self._rollout, counter)
-        return int(word) >> 8
+        return self._hazard[robot] + (self._failures.begun[robot] if self._failures.begun else 0)
 
 
 @cache
@@ -105,62 +86,10 @@ def rows_met(uncertainty: Uncertain, seed: int, rollouts: ArrayLike) -> NDArray[
     return (words >> np.uint32(8)).astype(np.int64) * uncertainty.count // UNIT
 
 
-# Moving threats of one rollout, in readable form: all engines agree with it (SPEC section 16).
-#
-# Their paths depend only on the seed and the rollout, so they can be computed without a run.
+# Moving threats of one rollout (SPEC section 16). Their paths depend only on the seed and the rollout.
 
 MOVE_DRAW, MEETING_DRAW = 3, 4
 """Second counter words from which moves, and losses at encounters, get their keys."""
-
-
-class MovingThreatRun:
-    """The moving threats of a rollout.
-
-    Args:
-        movers: the moving threats.
-        seed: 0 <= seed < 2**64.
-        rollout: id.
-        robots: K.
-    """
-
-    def __init__(self, movers: MovingThreats, seed: int, rollout: int, robots: int) -> None:
-        self._movers, self._rollout, self._robots = movers, rollout, robots
-        self._moves, self._meets = own_key(seed, MOVE_DRAW), own_key(seed, MEETING_DRAW)
-        self._free = ~np.isnan(movers.own)
-        self._places: list[int] = first_places(movers, seed, [rollout])[0].tolist()
-
-    @property
-    def cells(self) -> list[int]:
-        """The cell of each moving threat."""
-        each = zip(self._movers.members, self._places, strict=True)
-        return [mover.route[place] if mover.patrols else place for mover, place in each]
-
-    def move(self, step: int) -> None:
-        """Move the threats, after the robots' moves of this step."""
-        count = len(self._places)
-        stays, where = threefry2x32(self._moves, self._rollout, (step + 1) * count + np.arange(count))
-        for number, mover in enumerate(self._movers.members):
-            if mover.patrols:
-                self._places[number] = (self._places[number] + 1) % len(mover.route)
-            elif int(stays[number]) >> 8 >= chance_bound(mover.stay):
-                self._places[number] = self._neighbour(self._places[number], int(where[number]) >> 8)
-
-    def _neighbour(self, cell: int, number: int) -> int:
-        """The free neighbour, of N, W, E, S, that a number below UNIT selects; the cell itself if none is free."""
-        height, width = self._free.shape
-        row, col = divmod(cell, width)
-        places = ((row - 1, col), (row, col - 1), (row, col + 1), (row + 1, col))
-        ways = [r * width + c for r, c in places if 0 <= r < height and 0 <= c < width and self._free[r, c]]
-        return ways[number * len(ways) // UNIT] if ways else cell
-
-    def meets(self, robot: int, step: int, cell: int) -> bool:
-        """Whether a moving threat destroys a robot that is in the cell at the end of this step."""
-        return any(self._hits(robot, step, number) for number, place in enumerate(self.cells) if place == cell)
-
-    def _hits(self, robot: int, step: int, number: int) -> bool:
-        counter = (step * len(self._places) + number) * self._robots + robot
-        word = threefry2x32(self._meets, self._rollout, counter)[0]
-        return int(word) >> 8 < chance_bound(self._movers.members[number].hit)
 
 
 def chance_bound(chance: float) -> int:
@@ -200,11 +129,21 @@ def threat_paths(world: World, seed: int, rollout: int, steps: int) -> NDArray[n
     """
     if world.movers is None:
         return np.zeros((steps, 0), dtype=np.int64)
-    roaming, ways = MovingThreatRun(world.movers, seed, rollout, 1), []
+    members, key, paths = world.movers.members, own_key(seed, MOVE_DRAW), list[list[int]]()
+    near = neighbour_table(world.shape, ~np.isnan(world.movers.own.ravel()))
+    places: list[int] = first_places(world.movers, seed, [rollout])[0].tolist()
     for step in range(steps):
-        roaming.move(step)
-        ways.append(roaming.cells)
-    return np.array(ways, dtype=np.int64)
+        words = threefry2x32(key, rollout, (step + 1) * len(members) + np.arange(len(members)))
+        stays, where = np.stack(words) >> np.uint32(8)
+        for number, mover in enumerate(members):
+            if mover.patrols:
+                places[number] = (places[number] + 1) % len(mover.route)
+            elif stays[number] >= chance_bound(mover.stay):
+                # The neighbour, of N, W, E, S, that the random number selects; none is free: it stays.
+                ways = near[places[number]][near[places[number]] != NO_CELL].tolist()
+                places[number] = ways[int(where[number]) * len(ways) // UNIT] if ways else places[number]
+        paths.append([one.route[at] if one.patrols else at for one, at in zip(members, places, strict=True)])
+    return np.array(paths, dtype=np.int64)
 
 
 def check_counters(world: World, robots: int, last_step: int) -> None:

@@ -6,7 +6,6 @@ same everywhere; a test pins its hash. Axis letters: `K` robots.
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -81,13 +80,6 @@ class SurveyWorld:
     def loop(self, plan: Plan | None = None) -> ClosedLoop:
         """The compiled classical simulator of the plan (None: of its own)."""
         return compile_closed_loop(plan or self.plan(), self.world, first_only=self.first_only)
-
-    def digest(self) -> str:
-        """Hash of everything that its rollouts depend on, but for METIS."""
-        plan = self.settings
-        said = (self.name, self.kind, self.world.shape, self.world.sha256, self.starts.tolist(), plan.levels)
-        said += (plan.density, plan.risk, plan.max_steps, self.first_only, self.seed)
-        return hashlib.sha256(repr(said).encode()).hexdigest()
 
 
 def idle_at_start(plan: Plan) -> int:

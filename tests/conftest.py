@@ -27,6 +27,8 @@ from planner.world.world import World, load_world_file
 
 FOLDER = Path(__file__).parent / "fixtures"
 NAMES = sorted(path.stem for path in FOLDER.glob("*.json"))
+ANSWERS: dict[str, Any] = json.loads((FOLDER / "rules" / "answers.json").read_text())
+"""What simulators written from docs/spec.md alone, without code of the product, came to (`source` there)."""
 
 settings.register_profile("default", deadline=None, derandomize=True, print_blob=True)
 settings.register_profile("quick", settings.get_profile("default"), max_examples=40)

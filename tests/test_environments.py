@@ -23,8 +23,8 @@ from mrac_jax.env.coverage_env import ACTIONS, AT_ONCE, PLANES, CoverageEnv, Sta
 from planner.errors import InputError
 from planner.failure_model import exposure_of, tolerances
 from planner.make_plan import make_plan
-from planner.mission.external_allocation import ChosenRun, keys_of
-from planner.policies import RULES, Rule, rule_of
+from planner.mission.external_allocation import ChosenRun
+from planner.policies import RULES, Rule
 from planner.rollouts.single_run import PythonLoop
 from planner.settings import Policy, Settings
 from planner.simulator.codes import Outcome
@@ -299,17 +299,6 @@ def test_rollouts_of_one_loop_may_go_on_in_turn(rule: str) -> None:
         assert alone.now.unvisited == run.now.unvisited == loop.loop.accessible - run.now.visited.sum()
         assert alone.new.sum() == run.now.visited.sum()
     assert asked > 20 and not all(run.now.alive.all() for run, _ in in_turn)
-
-
-def test_offers_are_in_the_order_of_the_rule() -> None:
-    """Fractions with one denominator are in the order of the fractions."""
-    draw = np.random.default_rng(0)
-    numbers = draw.integers(1, [4, 40, 9, 30, 9], (200, 5)).tolist()
-    offers = [Offer(level, cost, left, entry, value, 0) for level, cost, left, entry, value in numbers]
-    for policy in POLICIES.values():
-        rule = rule_of(policy)
-        keys = keys_of(rule, offers)
-        assert sorted(range(200), key=keys.__getitem__) == sorted(range(200), key=lambda one: rule.key(offers[one]))
 
 
 @pytest.mark.parametrize(

@@ -76,18 +76,34 @@ def obey(mission: Mission) -> None:
     mission.advance()
 
 
-def step_by_luck(mission: Mission, luck: Luck, doubled: bool = False) -> None:
-    """One step in which every robot does what it is told, one after the other, and luck says who is stopped."""
-    width = mission.world.shape[1]
+def step_by_luck(
+    mission: Mission, luck: Luck, *, doubled: bool = False, sees: Any = None, file: Path | None = None, **how: Any
+) -> Mission:
+    """One step in which every robot does what it is told, one after the other, and luck says who is stopped.
+
+    `sees`: what a robot reports from a cell. `file`: the mission is kept there in the middle of the step, and goes on
+    from it, `how` it was made.
+    """
+    width, at = mission.world.shape[1], {}
     for robot, place in enumerate(places(mission)):
         order = mission.orders().get(robot)
-        if order is None or (order.cell == place and mission.step > 0):
+        if order is None:
             continue
-        row, col = order.cell
-        stopped = luck.hits(robot, mission.step, row * width + col)
-        for _ in range(1 + doubled):
-            mission.report(robot, cell=order.cell, stopped=stopped)
+        (row, col), stopped = order.cell, False
+        if order.cell != place or mission.step == 0:
+            stopped = luck.hits(robot, mission.step, row * width + col)
+            for _ in range(1 + doubled):
+                mission.report(robot, cell=order.cell, stopped=stopped)
+        at |= {} if stopped else {robot: order.cell}
+        if file is not None and robot == mission.robots // 2:
+            mission.save(file, force=True)
+            again = Mission.resume(file, **how)
+            assert told(again) == told(mission) and again.step == mission.step
+            mission = again
+    for robot, (row, col) in at.items() if sees is not None else ():
+        mission.report(robot, (row, col), seen=sees(row * width + col))
     mission.advance()
+    return mission
 
 
 def trace_of(mission: Mission, steps: list[Any], rollout: int, outcome: Outcome) -> Trace:
@@ -102,7 +118,7 @@ def assert_driven_is_the_closed_loop(world: World, plan: Plan, seed: int, rollou
     mission, steps = Mission(world, plan, patience=None), list[Any]()
     luck = Luck(world, seed, rollout, plan.failure_model)
     while mission.outcome is None:
-        step_by_luck(mission, luck, doubled=rollout % 2 == 1)
+        mission = step_by_luck(mission, luck, doubled=rollout % 2 == 1)
         steps.append((mission._fleet.frame(), mission._fleet.new_events))
     assert mission.orders() == {}
     there = PythonLoop(plan, world).trace(seed, rollout)
@@ -161,20 +177,8 @@ def test_so_it_is_from_a_state_and_through_its_file(more: dict[str, Any], every:
         whole = PythonLoop(plan, world).run(seed, 1)
         luck, mission = Luck(world, seed, 1, plan.failure_model), Mission(world, plan)
         while mission.outcome is None:
-            robots = list(mission.orders().values())
-            for number, order in enumerate(robots):
-                if order.robot not in mission.orders():
-                    continue
-                row, col = mission.orders()[order.robot].cell
-                if (row, col) != places(mission)[order.robot] or mission.step == 0:
-                    stopped = luck.hits(order.robot, mission.step, row * world.shape[1] + col)
-                    mission.report(order.robot, cell=(row, col), stopped=stopped)
-                if number == len(robots) // 2 and mission.step % every == 0:
-                    mission.save(tmp_path / "now.json", force=True)
-                    again = Mission.resume(tmp_path / "now.json", world, plan)
-                    assert told(again) == told(mission) and again.step == mission.step
-                    mission = again
-            mission.advance()
+            file = tmp_path / "now.json" if mission.step % every == 0 else None
+            mission = step_by_luck(mission, luck, file=file, world=world, plan=plan)
         assert (mission.outcome, mission.step - 1) == (plan.ending(whole.outcome), whole.time)
         np.testing.assert_array_equal(mission._fleet.loop.on_grid(mission._fleet.visited), whole.visited)
         assert mission.lost == tuple(np.flatnonzero(~whole.alive))
@@ -667,24 +671,25 @@ def drawn_lessons(number: int, kind: str) -> tuple[World, list[list[int]]]:
     return World.create(walls).with_latent_hazard(kind, np.nan_to_num(maps[0]), 1.0, learn=True), starts
 
 
-def drive(world: World, starts: list[list[int]], settings: Settings, seed: int, file: Path | None) -> tuple[Any, Any]:
-    """Where robots are at the end of each step, driven, luck answering; and simulated."""
-    plan, luck, width, places = make_plan(world, starts, settings), Luck(world, seed, 0), world.shape[1], []
-    trace, mission = PythonLoop(plan, world).trace(seed, 0), Mission(world, plan, patience=None)
+def drive(
+    world: World, starts: Any, settings: Settings, seed: int, file: Path | None, met: World | None = None,
+    sees: Any = None,
+) -> tuple[Any, Any]:  # fmt: skip
+    """Where robots are at the end of each step, driven, luck answering; and simulated.
+
+    `met`: the world that luck and the simulation know, if robots only see what it is like.
+    """
+    met = met or world
+    plan, luck, places = make_plan(world, starts, settings), Luck(met, seed, 0), []
+    trace = PythonLoop(make_plan(met, starts, settings), met).trace(seed, 0)
+    how: dict[str, Any] = {"world": world, "plan": plan, "patience": None}
+    mission = Mission(**how)
     for step in range(min(60, trace.time + 1)):
         # a cell that nobody can visit is none that is left: by then all is done, and who is to come home has turned
-        short = mission.accessible < world.accessible(starts).sum()
+        short = sees is None and mission.accessible < world.accessible(starts).sum()
         if mission.outcome is not None or (short and mission._fleet.over is not None):
             break
-        for robot in sorted({*range(mission.robots)} - {*mission.lost}):
-            row, col = mission.orders()[robot].cell
-            moved = step == 0 or mission.state.robots[robot].cell != row * width + col
-            stopped = moved and luck.hits(robot, step, row * width + col)
-            mission.report(robot, (row, col), stopped=stopped)
-        if file is not None and step % 3 == 1:
-            mission.save(file, force=True)
-            mission = Mission.resume(file, world, plan, patience=None)
-        mission.advance()
+        mission = step_by_luck(mission, luck, sees=sees, file=file if step % 3 == 1 else None, **how)
         places.append([robot.cell for robot in mission._fleet.robots])
     return np.array(places), trace
 
@@ -768,42 +773,6 @@ def of_one_level(number):
     return World.create(believed).with_true_map(truth, sense), starts
 
 
-def drive_seen(world, starts, settings, seed, steps, file=None):
-    """Where robots are at the end of each step: driven, luck and their sensors answering; and simulated."""
-    known, plan = as_planned(world, starts), make_plan(world, starts, settings)
-    mission = Mission(known, make_plan(known, starts, settings), patience=None)
-    luck, told, height_width = Luck(world, seed, 0), world.met.ravel(), world.shape
-    trace = PythonLoop(plan, world).trace(seed, 0)
-    cells, places = np.arange(told.size), []
-    begin, view = world.knowledge.sense.views(world.knowledge.free, cells)
-    for step in range(min(steps, trace.time + 1)):
-        if mission.outcome is not None:
-            break
-        lost, alive, at = set(mission.lost), [], {}
-        orders = mission.orders()
-        for robot in range(mission.robots):
-            if robot in lost:
-                continue
-            orders = mission.orders()
-            before = None if step == 0 else mission.state.robots[robot].cell
-            cell = orders[robot].cell[0] * height_width[1] + orders[robot].cell[1]
-            stopped = (step == 0 or cell != before) and luck.hits(robot, step, cell)
-            mission.report(robot, divmod(cell, height_width[1]), stopped=stopped)
-            at[robot] = cell
-            if not stopped:
-                alive.append(robot)
-        for robot in alive:
-            seen = view[begin[at[robot]] : begin[at[robot] + 1]]
-            said = [[*divmod(int(c), height_width[1]), None if np.isnan(told[c]) else float(told[c])] for c in seen]
-            mission.report(robot, divmod(at[robot], height_width[1]), seen=json.loads(json.dumps(said)))
-        if file is not None and step % 3 == 1:
-            mission.save(file, force=True)
-            mission = Mission.resume(file, known, make_plan(known, starts, settings), patience=None)
-        mission.advance()
-        places.append([robot.cell for robot in mission._fleet.robots])
-    return np.array(places), trace
-
-
 @pytest.mark.parametrize("numbers", [range(8), pytest.param(range(8, 60), marks=pytest.mark.slow)], ids=str)
 @pytest.mark.parametrize("policy", ["mrac", "per_cell"])
 def test_it_drives_as_the_simulator_does_seen(policy, numbers, tmp_path):
@@ -811,7 +780,15 @@ def test_it_drives_as_the_simulator_does_seen(policy, numbers, tmp_path):
     for number in numbers:
         world, starts = of_one_level(number)
         file = tmp_path / "m.json" if number % 3 == 0 else None
-        places, trace = drive_seen(world, starts, Settings(policy=policy), number, 60, file)
+        cells, met = np.arange(world.threat.size), world.met.ravel()
+        begin, view = world.knowledge.sense.views(world.knowledge.free, cells)
+        p = [None if np.isnan(one) else float(one) for one in met]
+
+        def sees(at, begin=begin, view=view, p=p, width=world.shape[1]):
+            return [[*divmod(int(cell), width), p[cell]] for cell in view[begin[at] : begin[at + 1]]]
+
+        known = as_planned(world, starts)
+        places, trace = drive(known, starts, Settings(policy=policy), number, file, world, sees)
         alive = trace.doing[: len(places)] != Doing.DEAD
         assert (np.where(alive, places, 0) == np.where(alive, trace.cells[: len(places)], 0)).all(), number
         compared += len(places)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -67,31 +68,34 @@ def check_homes(part: int, seed: int, rollouts: int) -> None:
 
 
 @pytest.mark.parametrize("part", range(len(HOMES)))
-def test_robots_of_several_types_come_home_each_by_its_own_way(part: int) -> None:
-    for seed in range(part, 2 * len(HOMES), len(HOMES)):
+@pytest.mark.parametrize("seeds", [range(8), pytest.param(range(1000, 1600), marks=pytest.mark.slow)], ids=str)
+def test_robots_of_several_types_come_home_each_by_its_own_way(part: int, seeds: range) -> None:
+    for seed in seeds[part :: len(HOMES)]:
         check_homes(part, seed, 2)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("part", range(len(HOMES)))
-def test_they_do_on_hundreds_of_worlds(part: int) -> None:
-    for seed in range(1000 + part, 1600, len(HOMES)):
-        check_homes(part, seed, 4)
-
-
-def test_everything_that_can_happen_on_rows() -> None:
+@pytest.mark.parametrize("what", ["types", "speeds", "radio"])
+def test_everything_that_can_happen_on_rows(what: str) -> None:
     """The tree of the closed loop against an enumeration that shares no code with it."""
     for seed in range(12):
-        rng = np.random.default_rng(seed)
-        size, starts = int(rng.integers(4, 8)), None
-        p = np.float32(rng.choice([0, 0, 0.1, 0.2, 0.37], (2, size)))
-        starts = rng.integers(0, size, 2 + seed % 2).tolist()
-        types = ("a", "b", *"ba"[: seed % 2])
-        world = replace(
-            World.create([p.max(axis=0)]), types=checked_types(("a", "b"), p[:, None], np.full((1, size), True), "")
-        )
-        plan = make_plan(world, [[0, start] for start in starts], Settings(types=types, density=1e6))
-        assert_as_enumerated(plan, world, everything([p["ab".index(of)].tolist() for of in types], starts))
+        rng, robots = np.random.default_rng(seed), 2 + seed % 2
+        size = int(rng.integers(*((5, 9) if what == "radio" else (4, 8))))
+        p = np.float32(rng.choice([0, 0, 0.1, 0.2, 0.37], (2, size) if what == "types" else (1, size)))
+        starts, own = rng.integers(0, size, robots).tolist(), [p[0].tolist()] * robots
+        world, paces, radio, more = World.create([p.max(axis=0)]), None, inf, dict[str, Any]()
+        if what == "types":
+            types = ("a", "b", *"ba"[: seed % 2])
+            known = checked_types(("a", "b"), p[:, None], np.full((1, size), True), "")
+            world, more = replace(world, types=known), {"types": types}
+            own = [p["ab".index(of)].tolist() for of in types]
+        elif what == "speeds":
+            paces = (1, *rng.integers(2, 4, robots - 1).tolist())
+            more = {"steps_per_move": paces}
+        else:
+            radio = float(rng.integers(1, 4))
+            more = {"radio": radio}
+        plan = make_plan(world, [[0, start] for start in starts], Settings(density=1e6, **more))
+        assert_as_enumerated(plan, world, everything(own, starts, paces and list(paces), radio=radio))
 
 
 @pytest.mark.parametrize("policy", ["per_cell", "watchful"])
@@ -311,18 +315,6 @@ def test_nobody_moves_out_of_turn(part: int) -> None:
             assert ((steps + 1) % np.array(settings.paces)[robots] == 0).all()
 
 
-def test_everything_that_can_happen_on_rows_speeds() -> None:
-    for seed in range(12):
-        rng = np.random.default_rng(seed)
-        size, robots = int(rng.integers(4, 8)), 2 + seed % 2
-        p = np.float32(rng.choice([0, 0, 0.1, 0.2, 0.37], size))
-        starts, paces = rng.integers(0, size, robots).tolist(), (1, *rng.integers(2, 4, robots - 1).tolist())
-        world = World.create([p])
-        settings = Settings(steps_per_move=paces, density=1e6)
-        plan = make_plan(world, [[0, start] for start in starts], settings)
-        assert_as_enumerated(plan, world, everything([p.tolist()] * robots, starts, list(paces)))
-
-
 def test_threats_that_move_meet_robots_of_every_speed_at_every_step() -> None:
     for seed in range(6):
         world = moving_world(seed)
@@ -374,16 +366,6 @@ def test_speeds_of_another_team_are_an_error() -> None:
 
 
 # Robots that hear each other over a distance: everybody near against no limit, a tree.
-
-
-def test_everything_that_can_happen_on_rows_radio() -> None:
-    for seed in range(12):
-        rng = np.random.default_rng(seed)
-        size, robots = int(rng.integers(5, 9)), 2 + seed % 2
-        p = np.float32(rng.choice([0, 0, 0.1, 0.2, 0.37], size))
-        starts, radio = rng.integers(0, size, robots).tolist(), float(rng.integers(1, 4))
-        plan = make_plan(World.create([p]), [[0, start] for start in starts], Settings(radio=radio, density=1e6))
-        assert_as_enumerated(plan, World.create([p]), everything([p.tolist()] * robots, starts, radio=radio))
 
 
 def test_a_chain_is_as_long_as_its_links_are_short() -> None:

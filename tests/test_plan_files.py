@@ -40,7 +40,6 @@ from planner.files import LONG_BYTES, read_csv_grid
 from planner.formatting import UNITS, UNPACED, Pace, seconds_of
 from planner.make_plan import confirm_plan, make_plan
 from planner.plan.plan import Area, Leg, Plan, RobotPlan, headings, waypoints_csv
-from planner.plan.plan_file import count_shares
 from planner.plan_team import plan_team, read_plan
 from planner.settings import SETTINGS, Choices, Settings
 from planner.simulator.codes import Outcome
@@ -124,7 +123,6 @@ def test_the_planners_plans_survive_the_round_trip(tmp_path: Path) -> None:
         plan = make_plan(world, [[0, col] for col in range(count)])
         plan.save(tmp_path / "plan.json", force=True)
         assert plans_equal(load_plan(tmp_path / "plan.json", world), plan)
-        assert count_shares(plan) == plan.shares
 
 
 def test_a_plan_of_version_1_is_read_where_its_rules_are_todays(tmp_path: Path) -> None:
@@ -146,16 +144,11 @@ def test_a_plan_of_version_1_is_read_where_its_rules_are_todays(tmp_path: Path) 
         assert "make the plan again" in str(error.value) and "\n" not in str(error.value)
 
 
-def test_notes_in_a_file_are_kept(tmp_path: Path) -> None:
-    data = own_plan().to_json() | {"notes": ["made on a Monday"]}
-    assert load_plan(written(tmp_path, data), WORLD).notes == ("made on a Monday",)
-
-
 def test_without_nominal_the_end_of_the_run_is_worked_out(tmp_path: Path) -> None:
     """SPEC's plan file has no `nominal`: that key is this project's own addition."""
     data = own_plan().to_json()
     del data["nominal"]
-    assert plans_equal(load_plan(written(tmp_path, data), WORLD), own_plan())
+    assert plans_equal(load_plan(written(tmp_path, data), WORLD), replace(own_plan(), shares=0))
     data["robots"][0]["path"].pop()
     data["robots"][0]["legs"].pop()
     assert load_plan(written(tmp_path, data), WORLD).outcome == "step_limit"
@@ -179,11 +172,6 @@ def test_outcomes_of_0_3_are_read_and_written_by_their_names_of_today(tmp_path: 
     assert load_plan(written(tmp_path, data), WORLD).outcome == ("deadline" if before == "timeout" else now)
 
 
-def test_settings_left_out_take_their_defaults(tmp_path: Path) -> None:
-    data = own_plan().to_json() | {"settings": {"density": 2}}
-    assert load_plan(written(tmp_path, data), WORLD).settings == Settings(density=2.0)
-
-
 def test_another_planners_paths_are_taken_with_a_note_on_cells_left_out(tmp_path: Path) -> None:
     data = {"format": "coverage-plan/1", "map": "x", "paths": [[[0, 0], [0, 1], [0, 1], [1, 1]], [[1, 3], [1, 3]]]}
     plan = load_plan(written(tmp_path, data), WORLD)
@@ -195,10 +183,21 @@ def test_another_planners_paths_are_taken_with_a_note_on_cells_left_out(tmp_path
     assert (plan.shape, plan.sha256) == (WORLD.shape, WORLD.sha256)
 
 
-def test_another_planners_complete_plan_has_no_note(tmp_path: Path) -> None:
-    path = [[0, 0], [0, 1], [1, 1], [1, 2], [0, 2], [0, 3], [1, 3]]
-    plan = load_plan(written(tmp_path, {"paths": [path]}), WORLD)
-    assert (plan.notes, plan.time) == ((), 6)
+def test_other_forms_of_a_plan_are_taken(tmp_path: Path) -> None:
+    """Own notes, settings left out, paths without a note where none is due, a bare list, a byte order mark."""
+    data = own_plan().to_json() | {"notes": ["made on a Monday"], "settings": {"density": 2}}
+    plan = load_plan(written(tmp_path, data), WORLD)
+    assert (plan.notes, plan.settings) == (("made on a Monday",), Settings(density=2.0))
+    whole = [[0, 0], [0, 1], [1, 1], [1, 2], [0, 2], [0, 3], [1, 3]]
+    row = World.create([[0.0, np.nan, 0.0]])
+    for paths, world, time in (([whole], WORLD, 6), ([[[0, 0]]], row, 0)):
+        plan = load_plan(written(tmp_path, {"paths": paths}), world)
+        assert (plan.notes, plan.time) == ((), time)
+    named, bare = (load_plan(written(tmp_path, data), WORLD) for data in ({"paths": [whole[:2]]}, [whole[:2]]))
+    named.save(tmp_path / "saved.json")
+    (tmp_path / "mark.json").write_text(json.dumps({"paths": [whole[:2]]}), encoding="utf-8-sig")
+    for plan in (bare, load_plan(tmp_path / "saved.json", WORLD), load_plan(tmp_path / "mark.json", WORLD)):
+        assert plans_equal(plan, named)
 
 
 def test_given_paths_and_a_scenario_that_says_more_of_its_robots(tmp_path: Path) -> None:
@@ -213,23 +212,6 @@ def test_given_paths_and_a_scenario_that_says_more_of_its_robots(tmp_path: Path)
     own = plan_team(world, [[0, 0]], Settings(plan_for="open_loop", range=2, effort=0))
     own.save(tmp_path / "own.json")
     assert not any("whatever" in note for note in load_plan(tmp_path / "own.json", world).notes)
-
-
-def test_cells_out_of_reach_are_not_missed(tmp_path: Path) -> None:
-    world = World.create([[0.0, np.nan, 0.0]])
-    assert load_plan(written(tmp_path, {"paths": [[[0, 0]]]}), world).notes == ()
-
-
-def test_another_planners_plan_survives_our_own_format(tmp_path: Path) -> None:
-    plan = load_plan(written(tmp_path, {"paths": [[[0, 0], [0, 1]], [[1, 3]]]}), WORLD)
-    plan.save(tmp_path / "saved.json")
-    assert plans_equal(load_plan(tmp_path / "saved.json", WORLD), plan)
-
-
-def test_a_byte_order_mark_is_no_error(tmp_path: Path) -> None:
-    path = tmp_path / "plan.json"
-    path.write_text(json.dumps({"paths": [[[0, 0]]]}), encoding="utf-8-sig")
-    assert load_plan(path, WORLD).time == 0
 
 
 # --- what is refused: files ---
@@ -259,13 +241,6 @@ def test_what_could_not_be_read_back_is_not_written(tmp_path: Path, monkeypatch:
     with pytest.raises(PlanError, match=f"would be {size} bytes.*at most {size - 1}"):
         own_plan().save(tmp_path / "other.json")
     assert not (tmp_path / "other.json").exists()
-
-
-def test_a_bare_list_of_paths_is_taken(tmp_path: Path) -> None:
-    paths = [[[0, 0], [0, 1]], [[1, 3]]]
-    bare, named = (load_plan(written(tmp_path, data), WORLD) for data in (paths, {"paths": paths}))
-    assert [robot.path.tolist() for robot in bare.robots] == [robot.path.tolist() for robot in named.robots]
-    assert bare.notes == named.notes
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,8 @@ from planner.mrac.problem import prepare
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop, new_cells, run_range
 from planner.rollouts.loop import FEATURES, PROGRAMS, ClosedLoop, typed, with_features
-from planner.rollouts.runners import KNOWN, LEAST_SHARED, _in_rounds, share_cached_paths
+from planner.rollouts.runners import KNOWN, LEAST_SHARED, _in_rounds
+from planner.rollouts.single_run import PythonLoop
 from planner.rollouts.tables import most_cost
 from planner.settings import Settings
 from planner.simulator import return_home as cache_path
@@ -75,6 +76,9 @@ def test_threshold_runs_are_the_fixtures(fixture: Fixture) -> None:
     assert singles is not None
     columns = [getattr(singles, name) for name in known["columns"]]
     assert np.stack(columns, axis=1).tolist() == known["runs"]
+    run = PythonLoop(fixture.plan, fixture.world).run(known["seed"], 0)
+    found = run.visited.sum(), run.survived.sum(), run.time, run.alive.sum(), run.outcome
+    assert [int(value) for value in found] == known["runs"][0]
 
 
 def test_robots_in_different_parts_get_stuck_alike() -> None:
@@ -212,22 +216,6 @@ def test_no_count_depends_on_the_coverage_paths_that_are_remembered(
             assert_same_results(found, singles)
 
 
-@pytest.mark.parametrize("full", [False, True])
-def test_whoever_knows_fewer_paths_learns_those_of_who_knows_most(full: bool) -> None:
-    """Where there was no room for one, the number of the next path is the last of all."""
-    loop = fed(load_fixture("tiny-4x8-12-k2"))
-    works = [make_work(loop.tables, 1, True) for _ in range(3)]
-    for known, work in zip((2, 3, 1), works, strict=True):
-        work.remembered[0], work.ends[:known] = known, (0, 5, 9)[:known]
-        work.paths[: (0, 5, 9)[known - 1]] = np.arange(9)[: (0, 5, 9)[known - 1]]
-        work.slots[7 * known] = known
-    most = works[1].remembered[0] = len(works[1].ends) if full else 3
-    share_cached_paths(works)
-    for work in works:
-        assert work.remembered[0] == most and work.ends[:3].tolist() == [0, 5, 9] and work.slots[21] == 3
-        assert work.paths[:9].tolist() == list(range(9))
-
-
 def test_a_coverage_path_is_remembered_by_all_of_its_key() -> None:
     """Hashes hardly ever meet on the worlds of these tests."""
     loop = fed(load_fixture("tiny-4x8-12-k2"))
@@ -283,9 +271,11 @@ def test_no_path_costs_more_than_is_said(drawn: tuple[World, np.ndarray]) -> Non
 
 
 @pytest.mark.slow
-def test_costs_of_64_bits_come_to_the_same() -> None:
+@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
+def test_costs_of_64_bits_come_to_the_same(policy: Any) -> None:
     world = walled(4)
-    plan = make_plan(world, place_starts(world, 3)[0])
+    plan = make_plan(world, place_starts(world, 3)[0], Settings(policy=policy))
+    assert compile_closed_loop(plan, world).tables.cost_to.dtype == np.int64
     tallies = [compare(world, plan, 30, tabled=tabled) for tabled in (True, False)]
     assert tallies[0] == tallies[1]
     assert tallies[0].visited[1:-1].sum() > 20

@@ -4,14 +4,11 @@ what it promises in return: no negative index, rows of known lengths."""
 from __future__ import annotations
 
 import sys
-from typing import NamedTuple
 
 import numba
 import numpy as np
 import pytest
-from forward_indices import forward
 from helpers import run_python
-from numpy.typing import NDArray
 
 from planner.make_plan import make_plan
 from planner.rollouts.closed_loop import compile_closed_loop
@@ -50,13 +47,6 @@ from planner.simulator.jit import kernel, program
 part = kernel(lambda number: number + 3)
 print(program(lambda number: part(number) * 1)(4), "planner.simulator.jit_parts" in sys.modules)
 """
-
-
-class Pair(NamedTuple):
-    """An array and something else."""
-
-    first: NDArray[np.int64]
-    second: int
 
 
 def test_kernels_count_no_references() -> None:
@@ -108,16 +98,6 @@ def test_kernels_count_places_from_the_front(worlds: int) -> None:
     """What is compiled takes every index for one that is not negative."""
     code = f"import forward_indices; forward_indices.main({worlds})"
     assert int(run_anew(code, NUMBA_DISABLE_JIT="1")) > 10**5 * worlds
-
-
-def test_an_index_before_the_array_is_seen() -> None:
-    numbers = forward(Pair(np.arange(6).reshape(2, 3), 1))
-    assert numbers.first[1, 2] == 5
-    for index in (-1, (0, -1), slice(0, -1)):
-        with pytest.raises(AssertionError):
-            numbers.first[index]
-    with pytest.raises(AssertionError):
-        numbers.first[0][np.int64(-1)] = 0
 
 
 def test_rows_are_as_long_as_kernels_take_them_for() -> None:

@@ -7,12 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import ANSWERS
 from drawn_worlds import tiny_world
 from helpers import answer_of, error_of, load_plan, play_both_ways
 from numpy.typing import NDArray
 from oracle_enumeration import best_of_one_robot
-from oracle_spec import Following
-from oracle_tree import Tree, exactly
 from validate import validate
 
 import mrac_jax as mrac
@@ -317,16 +316,15 @@ def test_every_rollout_covers_what_it_covers_open_loop_and_more() -> None:
 
 def test_sampled_values_are_those_of_enumeration() -> None:
     world = World.create([[0.0, 0.3, 0.0], [0.2, 0.0, 0.5], [0.0, 0.4, 0.0]])
-    paths = [0, 1, 2, 5], [6, 3, 3, 4]
-    plan = paths_plan(world, *paths)
-    exact = exactly(Tree(Following(world.threat, [[divmod(cell, 3) for cell in path] for path in paths]), world.threat))
+    plan, exact = paths_plan(world, [0, 1, 2, 5], [6, 3, 3, 4]), ANSWERS["external_paths"]
     count = 40_000
     results = run_range(compile_closed_loop(plan, world), SEED, 0, count, singles=True)[1]
     assert results is not None
-    for sampled, value in ((results.visited, exact.visited), (results.time, exact.time), (results.alive, exact.alive)):
-        assert abs(sampled.mean() - value) <= 5 * sampled.std() / np.sqrt(count)
+    for name in ("visited", "time", "alive"):
+        sampled = getattr(results, name)
+        assert abs(sampled.mean() - exact[name]) <= 5 * sampled.std() / np.sqrt(count)
     chances = np.bincount(results.visited, minlength=10) / count
-    assert np.abs(chances - exact.visited_chance).max() < 5 * 0.5 / np.sqrt(count)
+    assert np.abs(chances - exact["visited_chance"]).max() < 5 * 0.5 / np.sqrt(count)
 
 
 def test_the_plan_need_not_name_its_map_but_must_not_name_another() -> None:

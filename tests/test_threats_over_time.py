@@ -11,11 +11,10 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+from conftest import ANSWERS
 from drawn_worlds import in_rows, moving_world
 from helpers import play_both_ways
 from oracle_enumeration import outcomes
-from oracle_spec import closed_loop, mean_of, open_loop
-from oracle_tree import plain_areas
 
 from analysis.theory.exact import open_loop_exact
 from planner.arguments import MAX_STEP
@@ -25,10 +24,11 @@ from planner.make_plan import make_plan
 from planner.plan.plan import Plan, RobotPlan
 from planner.plan.plan_file import read_plan_json
 from planner.plan_team import read_plan, read_plan_on
-from planner.rollout_sampling import MovingThreatRun, first_places, threat_paths
+from planner.rollout_sampling import first_places, threat_paths
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.exact_tree import grow_tree
+from planner.rollouts.single_run import PythonLoop
 from planner.settings import Settings
 from planner.simulator.codes import Doing
 from planner.simulator.state import MOST_PASSES
@@ -127,19 +127,21 @@ def test_draws_are_at_the_counters_that_the_spec_names() -> None:
         return int(x0), int(x1)
 
     walker, place = weight[drawn(moves, 0)[0] * 14 >> 32], drawn(moves, 1)[0] * 4 >> 32
-    roaming = MovingThreatRun(world.movers, seed, rollout, 3)
-    for step in range(40):
+    trace = PythonLoop(make_plan(world, [[0, 0], [0, 2], [1, 2]]), world).trace(seed, rollout)
+    paths, alive = threat_paths(world, seed, rollout, trace.time + 1).tolist(), {0, 1, 2}
+    for step, (cells, doing) in enumerate(zip(trace.cells.tolist(), trace.doing.tolist(), strict=True)):
         x0, x1 = drawn(moves, (step + 1) * 2)
         if (x0 >> 8) / 2**24 >= np.float32(0.3):
             walker = beside[walker][(x1 >> 8) * len(beside[walker]) >> 24]
         place = (place + 1) % 4
-        roaming.move(step)
-        assert roaming.cells == [walker, (0, 1, 4, 3)[place]], step
-        for robot in range(3):
-            met = [number for number, cell in enumerate(roaming.cells) if cell == walker]
+        assert paths[step] == [walker, (0, 1, 4, 3)[place]], step
+        for robot in sorted(alive):
+            met = [number for number, cell in enumerate(paths[step]) if cell == cells[robot]]
             words = [drawn(hits, (step * 2 + number) * 3 + robot)[0] >> 8 for number in met]
             stops = any(word / 2**24 < np.float32((0.4, 0.6)[number]) for number, word in zip(met, words, strict=True))
-            assert roaming.meets(robot, step, walker) == stops, (step, robot)
+            assert (doing[robot] == Doing.DEAD) == stops, (step, robot)
+            alive -= {robot} if stops else set()
+    assert 0 < len(alive) < 3
 
 
 # --- exact values ---
@@ -461,21 +463,20 @@ TINY = [
 ]  # fmt: skip
 
 
-def tiny(number: int, plan_on: Foresight) -> tuple[World, list[tuple[int, np.ndarray]]]:
-    maps = [(begin, np.array(p, dtype=np.float32)) for begin, p in TINY[number]]
-    return World.create(maps[0][1]).with_phases(maps[1:], plan_on), maps
+def tiny(number: int, plan_on: Foresight) -> World:
+    (_, first), *later = TINY[number]
+    return World.create(first).with_phases([(begin, np.array(p)) for begin, p in later], plan_on)
 
 
 @pytest.mark.parametrize("plan_on", FORESIGHTS)
 @pytest.mark.parametrize("number", range(len(TINY)))
 @pytest.mark.parametrize("wide", [False, True])
 def test_teams_come_to_what_enumeration_has(number: int, plan_on: Foresight, wide: bool) -> None:
-    world, maps = tiny(number, plan_on)
+    world = tiny(number, plan_on)
     free = [tuple(cell) for cell in np.argwhere(world.free).tolist()]
     starts = [free[0], free[-1] if wide else free[0]]
     plan = make_plan(world, starts)
-    planned = maps if plan_on == "now" else [(0, world.threat)]
-    expected = mean_of(lambda judge: closed_loop(planned, starts, plain_areas(plan), judge), maps)
+    expected = ANSWERS["phases"][f"{number} {plan_on} {wide}"]
     loop = compile_closed_loop(plan, world)
     tree, singles = grow_tree(loop, 0.0, 10**6), run_range(loop, 3, 0, 40_000, singles=True)[1]
     assert tree is not None and singles is not None
@@ -488,12 +489,11 @@ def test_teams_come_to_what_enumeration_has(number: int, plan_on: Foresight, wid
 
 @pytest.mark.parametrize("number", range(len(TINY)))
 def test_given_paths_are_known_exactly(number: int) -> None:
-    world, maps = tiny(number, "first")
-    width = world.shape[1]
+    world = tiny(number, "first")
     paths = [robot.path for robot in make_plan(world, np.argwhere(world.free)[[0, -1]]).robots]
     paths[0] = np.insert(paths[0], 1, [paths[0][0]] * 2)  # it waits
     plan = Plan(world.shape, world.sha256, None, tuple(map(RobotPlan, paths)))
-    expected = mean_of(lambda judge: open_loop([[divmod(c, width) for c in p.tolist()] for p in paths], judge), maps)
+    expected = ANSWERS["phases_of_paths"][str(number)]
     exact = open_loop_exact(plan, world)
     np.testing.assert_allclose((exact.visited, exact.survival.sum(), exact.survived), expected, rtol=1e-6)
     values = make_engine(plan, world, Rolling("open"), "numba").results(0, 40_000)
@@ -504,7 +504,7 @@ def test_given_paths_are_known_exactly(number: int) -> None:
 
 def test_who_wears_bears_what_each_phase_brings() -> None:
     """One robot of wear 3 on a path: S = exp(-(E / s)**3) of the exposure E of its visits, each in its phase."""
-    world, _ = tiny(2, "now")
+    world = tiny(2, "now")
     exact = open_loop_exact(make_plan(world, [[0, 0]], Settings(weibull_shape=3.0)), world)
     borne = -np.log1p(-np.float64(np.float32(0.5)))  # it enters [0, 4] at step 4, safe in both; nothing before
     assert exact.survival[0] == 1.0 and borne > 0
@@ -607,7 +607,7 @@ def test_a_wrong_phase_is_one_line(tmp_path: Path, old: str, new: str, said: str
 
 
 def test_maps_and_loops_that_do_not_fit_are_refused() -> None:
-    world, _ = tiny(1, "now")
+    world = tiny(1, "now")
     plain = replace(world, threat=world.met, uncertainty=None)
     with pytest.raises(InputError, match=r"phases\[0\] has none at \[1, 0\]; expected the obstacles of the map"):
         plain.with_phases([(3, np.zeros((3, 3)))])

@@ -114,26 +114,6 @@ def test_survived_visits_are_those_of_the_simulator_as_python(policy: str, robot
     assert singles.worth_covered.sum() == (tally.covered_visited * units.covered).sum()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
-def test_engines_count_survived_visits_alike(policy: str) -> None:
-    """Also of rollouts that begin on the nominal run, or never leave it: a map of little danger."""
-    fixture = load_fixture("contiguous-14x23-1000-k8")
-    for scale in (1.0, 0.02):
-        world = World.create(fixture.world.threat * np.float32(scale))
-        world = world.with_values(np.arange(14 * 23).reshape(14, 23) % 5, 0.4)
-        plan = make_plan(world, fixture.starts[:3], Settings(policy=policy))
-        units = Units.of(CellValues.of(world))
-        runs = [
-            make_engine(plan, world, Rolling(seed=4), name).weighing(units.covered, units.found).run(100, 700)
-            for name in ("numba", "jax")
-        ]
-        (tally, singles), (other, theirs) = runs
-        assert other == tally and other.passes.size == 14 * 23 * MOST_PASSES
-        assert np.array_equal(singles.worth_found, theirs.worth_found)
-        assert np.array_equal(singles.worth_covered, theirs.worth_covered)
-
-
 @pytest.mark.parametrize("policy", ["mrac", "per_cell"])
 def test_the_closed_loop_against_every_pattern_of_hits(policy: str) -> None:
     """Value covered and found, each within 5 standard errors of what all runs together come to, exactly."""

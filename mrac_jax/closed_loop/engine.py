@@ -31,10 +31,10 @@ from planner.arguments import BLOCK
 from planner.errors import UsageError
 from planner.failure_model import threshold_key
 from planner.rollouts.closed_loop import results_from, tally_from
+from planner.rollouts.engine import Engine
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.single_run import SingleRun, play
 from planner.tally import RolloutResults, Tally, Trace
-from planner.world.world import World
 
 LANES = {"cpu": 1024, "gpu": 2**16}
 """Rollouts at a time on a device."""
@@ -193,7 +193,7 @@ def _words_of(rows: NDArray) -> NDArray:
     return uint64_pairs(rows) if rows.dtype == np.int64 else rows
 
 
-class JaxClosedLoop:
+class JaxClosedLoop(Engine):
     """The JAX engine for one closed loop and seed.
 
     Rollouts are shared out among devices; each runs the same program on its own lanes. Nothing is exchanged, and no
@@ -387,14 +387,6 @@ class JaxClosedLoop:
         for *row, salt in np.unique(asked, axis=0).tolist():
             self.host.look_up(salt, np.array(row, np.uint32))
 
-    def tally(self, start: int, count: int) -> Tally:
-        """The tally of rollouts `start .. start + count - 1`."""
-        return self.run(start, count)[0]
-
-    def results(self, start: int, count: int) -> RolloutResults:
-        """The result of each of those rollouts."""
-        return self.run(start, count)[1]
-
     def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
         """The tally and the single results of those rollouts: one pass gives both."""
         counting = Counting(self.loop, self._begun)
@@ -455,19 +447,7 @@ class JaxClosedLoop:
             raise AssertionError(f"rollout {rollout}: the lane's walks are not those of the simulator")
         return trace
 
-    def until(self, step: int) -> JaxClosedLoop:
-        """The same rollouts cut off at the end of `step`."""
-        return self._rolling(self.loop.until(step))
-
-    def under(self, truth: World) -> JaxClosedLoop:
-        """The same decisions under the threats of `truth`."""
-        return self._rolling(self.loop.under(truth))
-
-    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> JaxClosedLoop:
-        """The same rollouts, survived visits counted: `ClosedLoop.weighing`."""
-        return self._rolling(self.loop.weighing(covered, found))
-
-    def _rolling(self, loop: ClosedLoop) -> JaxClosedLoop:
+    def rolling(self, loop: ClosedLoop) -> JaxClosedLoop:
         """Another loop in as many lanes and on as many devices."""
         return JaxClosedLoop(loop, self.seed, lanes=self.lanes, devices=self._devices)
 

@@ -5,14 +5,12 @@ A step that needs a choice without an answer is undone, and repeated once the an
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.mrac.problem import Problem
-from planner.policies.rule import Rule
 from planner.rollouts.closed_loop import trace_from
 from planner.rollouts.single_run import PythonLoop, SingleRun, holds
 from planner.rollouts.tables import first_frames, make_policy
@@ -45,20 +43,6 @@ class Decision(Exception):
     def __init__(self, robot: int, offers: list[Choice]) -> None:
         super().__init__(robot, offers)
         self.robot, self.offers = robot, offers
-
-
-def keys_of(rule: Rule, offers: list[Offer]) -> list[Any]:
-    """Sort keys of offers: equal in order to `Rule.key` of each, but fractions with a common denominator, faster.
-
-    Args:
-        rule: of the plan.
-        offers: areas.
-    """
-    found = [rule.order(offer) for offer in offers]
-    if not rule.exact:
-        return found
-    common = [math.lcm(*(below for _, below in column)) for column in zip(*found, strict=True)]
-    return [tuple(top * (whole // below) for (top, below), whole in zip(of, common, strict=True)) for of in found]
 
 
 class _Chooser:
@@ -136,8 +120,7 @@ class _Chooser:
         places = order[first]
         offers = self._seen(t, s, robot, areas, costs[places])
         found = list(map(Choice, areas.tolist(), cells[numbers[places]].tolist(), offers))
-        keys = keys_of(self.rule, offers)
-        return [found[place] for place in sorted(range(len(found)), key=keys.__getitem__)]
+        return sorted(found, key=lambda choice: self.rule.key(choice.offer))
 
     def _seen(self, t: Any, s: Any, robot: int, areas: NDArray[Any], costs: NDArray[Any]) -> list[Offer]:
         """Areas at these costs `[M]` as offers."""

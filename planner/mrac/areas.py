@@ -12,10 +12,12 @@ import pymetis
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
 from planner.plan.plan import Area
 from planner.policies.rules import BOUSTROPHEDON, COLUMNS, ROWS
-from planner.simulator.codes import NO_CELL, NO_ROBOT
+from planner.simulator.codes import NO_ROBOT
 from planner.simulator.searches import BY_COLUMN, BY_INDEX, BY_ROW, NOT_WANTED, SafestPaths
 from planner.world.levels import NO_LEVEL, ThreatLevels
 from planner.world.world import FOUR_NEIGHBOURS
@@ -169,36 +171,17 @@ def bisect(
 
     Source: SPEC section 5.
     """
+    ordered = np.sort(cells)
     goal = min(target if target is not None else (len(cells) + 1) // 2, len(cells) - 1)
-    members = {int(cell) for cell in cells}
-    far_end = min(_layers(shape, members, min(members))[-1])
-    grown: set[int] = set()
-    for layer in _layers(shape, members, far_end):
-        grown.update(sorted(layer)[: goal - len(grown)])
-        if len(grown) == goal:
-            break
-    rest = connected_parts(shape, np.array(sorted(members - grown), dtype=np.int64))
-    stays = max(rest, key=lambda part: (len(part), -int(part[0])))
+    starts, targets = _adjacency(shape, ordered)
+    graph = csr_array((np.ones(len(targets)), targets, starts), shape=(len(cells), len(cells)))
+    far_end = dijkstra(graph, unweighted=True, indices=0).argmax()
+    # Stable: whole layers by their distance from the far end, the last one in index order.
+    nearest_first = np.argsort(dijkstra(graph, unweighted=True, indices=far_end), kind="stable")
+    rest = connected_parts(shape, ordered[np.sort(nearest_first[goal:])])
     # Smaller components of the rest join the grown part: they are connected to it only.
-    grown_cells = np.array(sorted(members - {int(cell) for cell in stays}), dtype=np.int64)
-    return grown_cells, stays
-
-
-def _layers(shape: tuple[int, int], members: set[int], source: int) -> list[list[int]]:
-    """Breadth-first layers of the cells `members` from `source`."""
-    width = shape[1]
-    left, layers = members - {source}, [[source]]
-    while left:
-        reached: set[int] = set()
-        for cell in layers[-1]:
-            col = cell % width
-            sides = (cell - width, cell - 1 if col else NO_CELL, cell + 1 if col + 1 < width else NO_CELL, cell + width)
-            reached.update(side for side in sides if side in left)
-        if not reached:
-            break
-        left -= reached
-        layers.append(list(reached))
-    return layers
+    stays = max(rest, key=lambda part: (len(part), -int(part[0])))
+    return np.setdiff1d(ordered, stays, assume_unique=True), stays
 
 
 def _adjacency(shape: tuple[int, int], ordered: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -24,7 +24,7 @@ from planner.world.levels import NO_LEVEL, ThreatLevels, entry_costs, find_level
 from planner.world.map_knowledge import Evidence, Knowledge, Sense
 from planner.world.moving_threats import Phases
 from planner.world.scenario_features import as_planned
-from planner.world.uncertain_maps import Hazard, Uncertain
+from planner.world.uncertain_maps import Uncertain
 from planner.world.world import FOUR_NEIGHBOURS, World, check_starts
 
 # Unknown maps: the robots' first map and the candidates of the true map, with levels on one scale (SPEC section 15).
@@ -477,16 +477,6 @@ def ready_loop(plan: Plan, world: World) -> tuple[Problem, tuple[Area, ...]]:
         return prepare(world, plan.starts, settings, homes=homes), plan.areas
     problem = prepare(world, plan.starts, settings, given=tuple(robot.path for robot in plan.robots))
     return problem, areas_of_paths(problem)
-
-
-def check_every_visit(world: World, first_only: bool) -> None:
-    """Check that hazard estimates are not combined with checks of first visits only.
-
-    Raises:
-        WorldError: they are.
-    """
-    if first_only and isinstance(world.uncertainty, Hazard):
-        world.require_known_map(argument("threat_checks", "first_visit"))
 
 
 def areas_of_paths(problem: Problem) -> tuple[Area, ...]:

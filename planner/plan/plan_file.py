@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import reprlib
 from dataclasses import replace
-from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -177,71 +176,36 @@ def _path(given: object, robot: int, world: World, source: str) -> NDArray[np.in
         raise PlanError(problem, source=source, expected="at least the start: [[row, col], ...]")
     if len(given) - 1 > MAX_STEP:
         raise PlanError(f"robot {robot}: {len(given) - 1} steps", source=source, expected=f"at most {MAX_STEP}")
-    # Checked with array operations first: a path may have millions of entries.
-    cells = _cells_of(given)
-    if cells is None or not ((cells >= 0) & (cells < world.shape)).all():
-        _refuse_entry(given, robot, world, source)
-    assert cells is not None
-    _check_drivable(cells, robot, world, source)
-    return cells[:, 0] * world.shape[1] + cells[:, 1]
-
-
-def _cells_of(given: list[Any]) -> NDArray[np.int64] | None:
-    """Pairs of whole numbers as int64 `[entries, 2]`; None if something else is among them."""
-    if set(map(type, given)) != {list} or set(map(len, given)) != {2}:
-        return None
-    # Only `int`: booleans and floats are no cells, although NumPy would convert them.
-    flat = list(chain.from_iterable(given))
-    if set(map(type, flat)) != {int}:
-        return None
-    try:
-        return np.array(flat, dtype=np.int64).reshape(-1, 2)
-    except OverflowError:
-        return None
-
-
-def _refuse_entry(given: list[Any], robot: int, world: World, source: str) -> None:
-    """PlanError for the first entry of a path that is no cell of the map."""
-    height, width = world.shape
+    (height, width), where = world.shape, f"robot {robot}, step"
     for step, cell in enumerate(given):
-        if not (type(cell) is list and len(cell) == 2 and type(cell[0]) is int and type(cell[1]) is int):
-            problem = f"robot {robot}, step {step}: {reprlib.repr(cell)}"
+        # Only `int`: booleans and floats are no cells, although NumPy would convert them.
+        if not (type(cell) is list and len(cell) == 2 and type(cell[0]) is type(cell[1]) is int):
+            problem = f"{where} {step}: {reprlib.repr(cell)}"
             raise PlanError(problem, source=source, expected="[row, col], two whole numbers")
         if not (0 <= cell[0] < height and 0 <= cell[1] < width):
-            raise PlanError(
-                f"robot {robot}, step {step}: cell {reprlib.repr(cell)} is off the map",
-                source=source,
-                expected=f"row 0..{height - 1} and col 0..{width - 1}",
-                fix="cells are [row, col] from 0, row 0 at the top, not [x, y]",
+            problem, expected = (
+                f"cell {reprlib.repr(cell)} is off the map",
+                f"row 0..{height - 1} and col 0..{width - 1}",
             )
-
-
-def _check_drivable(cells: NDArray[np.int64], robot: int, world: World, source: str) -> None:
-    """PlanError at the first obstacle on a path of (row, col), int64 `[steps + 1, 2]`, or at its first jump.
-
-    Obstacles of the prior map around the starts do not count if the true map is free there: robots have seen them.
-    """
-    # The error names the first such step and counts all: a wrong order of coordinates affects many.
+            fix = "cells are [row, col] from 0, row 0 at the top, not [x, y]"
+            raise PlanError(f"{where} {step}: {problem}", source=source, expected=expected, fix=fix)
+    cells = np.array(given, dtype=np.int64)
+    # The error names the first wrong step and counts all: a wrong order of coordinates affects many. Obstacles of the
+    # prior map around the starts do not count if the true map is free there: robots have seen them.
     blocked = np.flatnonzero(~world.enterable[cells[:, 0], cells[:, 1]])
     if len(blocked):
         step = int(blocked[0])
-        raise PlanError(
-            f"robot {robot}, step {step}: cell {cells[step].tolist()} is an obstacle ({len(blocked)} such steps)",
-            source=source,
-            expected="free cells",
-            fix="cells are [row, col] from 0, row 0 at the top: check that the plan is for this map",
-        )
+        problem = f"cell {cells[step].tolist()} is an obstacle ({len(blocked)} such steps)"
+        fix = "cells are [row, col] from 0, row 0 at the top: check that the plan is for this map"
+        raise PlanError(f"{where} {step}: {problem}", source=source, expected="free cells", fix=fix)
     # A distance of 0 is a step of waiting.
     jumps = np.flatnonzero(np.abs(np.diff(cells, axis=0)).sum(axis=1) > 1)
     if len(jumps):
-        step = int(jumps[0]) + 1
-        raise PlanError(
-            f"robot {robot}, step {step}: a jump from {cells[step - 1].tolist()} to cell {cells[step].tolist()} "
-            f"({len(jumps)} such steps)",
-            source=source,
-            expected="one cell north, south, east or west, or waiting",
-            fix="write every cell on the way",
-        )
+        before, after = cells[jumps[0] : jumps[0] + 2].tolist()
+        problem = f"a jump from {before} to cell {after} ({len(jumps)} such steps)"
+        expected, fix = "one cell north, south, east or west, or waiting", "write every cell on the way"
+        raise PlanError(f"{where} {jumps[0] + 1}: {problem}", source=source, expected=expected, fix=fix)
+    return cells @ (width, 1)
 
 
 def _legs(entry: dict[str, Key], entries: int, levels: list[int]) -> tuple[Leg, ...]:
@@ -278,25 +242,14 @@ def _area(key: Key, robots: int, levels: int, world: World) -> Area:
 def _nominal(keys: dict[str, Key], plan: Plan, world: World) -> tuple[str, int, int]:
     """(outcome, time, shares) of the nominal run, as saved, or computed if the file lacks them."""
     if "nominal" not in keys:
-        # Files of version 1 have no nominal outcome: the paths themselves give it.
+        # Files of version 1 have no nominal outcome: the paths tell it, and `confirm_plan` counts shared areas.
         complete = not len(_unvisited(plan, world))
         ended = Outcome.COMPLETE if complete else plan.ending(Outcome.STEP_LIMIT)
-        return ended.word, plan.makespan, count_shares(plan)
+        return ended.word, plan.makespan, 0
     given = keys["nominal"].mapping(("outcome", "time", "shares"), strict=False)
     time = given["time"].number(whole(plan.makespan, MAX_STEP, "the step of the last move or a later one"))
     word = given["outcome"].choice(OUTCOMES, WORDS_OF_0_3)
     return plan.ending(Outcome[word.upper()]).word, time, given["shares"].number(whole(0, MAX_CELLS))
-
-
-def count_shares(plan: Plan) -> int:
-    """Number of areas shared in the nominal run: the areas that `areas_added` were split from, each split once."""
-    holder: dict[int, int] = {int(cell): number for number, area in enumerate(plan.areas) for cell in area.cells}
-    # Areas from one split are adjacent in `areas_added` and have cells of one area.
-    parents = []
-    for number, area in enumerate(plan.areas_added, start=len(plan.areas)):
-        parents.append(holder.get(int(area.cells[0]), number))
-        holder.update((int(cell), number) for cell in area.cells)
-    return sum(before != after for before, after in pairwise([-1, *parents]))
 
 
 def _unvisited(plan: Plan, world: World) -> NDArray[np.int64]:

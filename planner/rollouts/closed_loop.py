@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import argument
 from planner.errors import PlanError, names_of_0_3
-from planner.mrac.problem import Problem, check_every_visit, ready_loop
+from planner.mrac.problem import Problem, ready_loop
 from planner.plan.plan import Area, Plan, RobotPlan, last_move
 from planner.plan.state import MissionState
 from planner.rollout_sampling import check_counters
@@ -26,7 +27,7 @@ from planner.simulator.offers import CellOffer
 from planner.simulator.state import Counts
 from planner.tally import RolloutResults, Tally, Trace, tally_key
 from planner.world.scenario_features import BEFORE, rules_of
-from planner.world.uncertain_maps import Uncertain
+from planner.world.uncertain_maps import Hazard, Uncertain
 from planner.world.world import World
 
 MOST_TABLED = 10_000
@@ -74,7 +75,8 @@ def compile_closed_loop(
             fix="use the open loop, or the simulator as Python: planner.rollouts.single_run.PythonLoop",
         )
     check_counters(world, len(problem.starts), problem.max_steps)
-    check_every_visit(world, first_only)
+    if first_only and isinstance(world.uncertainty, Hazard):
+        world.require_known_map(argument("threat_checks", "first_visit"))
     learns, unknown = problem.learns, problem.unknown
     cells = np.flatnonzero(problem.levels.accessible if unknown is None or not learns else unknown.within)
     tabled = not (learns or interpreted) and (len(cells) <= MOST_TABLED if tabled is None else tabled)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import itertools
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, Literal, NamedTuple, Protocol, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,8 @@ from planner.rollouts import closed_loop
 from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.names import ENGINES, EngineName, check_jax, of_jax
-from planner.rollouts.open_loop import CompiledPlan, OpenLoop, compile_plan
+from planner.rollouts.open_loop import CompiledPlan, MakeKernel, compile_plan, tally_of
+from planner.rollouts.open_loop_events import open_loop_trace
 from planner.rollouts.open_loop_numba import NumbaOpenLoop
 from planner.rollouts.single_run import PythonLoop
 from planner.rollouts.tables import AllPairs
@@ -27,6 +29,59 @@ from planner.rollouts.threshold_classes import sums_by_threshold
 from planner.simulator.codes import Outcome
 from planner.tally import RolloutResults, Tally, Trace
 from planner.world.world import World
+
+
+class Engine(ABC):
+    """Rolls out one plan. Ids are whole numbers below 2**32.
+
+    Attributes:
+        name: "jax", "numba" or, where no robot can be lost, "nominal run".
+        loop: the compiled plan: a `ClosedLoop` or a `CompiledPlan`.
+        least: rollouts that a call should have: a block or several, on large maps a part of one.
+        accessible: number of cells that count for coverage.
+    """
+
+    name: str
+    loop: Any
+    least: int
+    accessible: int
+
+    def tally(self, start: int, count: int) -> Tally:
+        """The tally of rollouts `start .. start + count - 1`."""
+        return self.run(start, count)[0]
+
+    def results(self, start: int, count: int) -> RolloutResults:
+        """The results of each of these rollouts."""
+        return self.run(start, count)[1]
+
+    @abstractmethod
+    def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
+        """The tally and the results."""
+
+    @abstractmethod
+    def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
+        """Traces of these rollouts, in the order given."""
+
+    @abstractmethod
+    def rolling(self, loop: Any) -> Engine:
+        """The engine of another loop, with the same seed and back end."""
+
+    def until(self, step: int) -> Engine:
+        """The same rollouts truncated at the end of `step`."""
+        return self.rolling(self.loop.until(step))
+
+    def under(self, truth: World) -> Engine:
+        """The same decisions under the threats of `truth`, a map of the same cells."""
+        return self.rolling(self.loop.under(truth))
+
+    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> Engine:
+        """The same closed-loop rollouts with survived visits counted and values summed up (`ClosedLoop.weighing`).
+
+        Raises:
+            UsageError: an open loop, whose values are exact.
+        """
+        return self.rolling(self.loop.weighing(covered, found))
+
 
 # A closed loop in which no robot can be lost: every rollout is the nominal run, which the plan holds.
 
@@ -39,8 +94,8 @@ def is_nominal(plan: Plan, world: World) -> bool:
     return plan.state is None and not plan.comes_home and is_certain(world, plan)
 
 
-class NominalRun:
-    """An `Engine` that counts the nominal run as often as needed.
+class NominalRun(Engine):
+    """An engine that counts the nominal run as often as needed.
 
     The paths are counted with NumPy, so nothing is compiled: on a large map without threats a compilation takes a
     minute, and the result a second. The counts of shared areas (`RolloutResults.bisected`, `divided`) are left out.
@@ -49,7 +104,9 @@ class NominalRun:
     name = "nominal run"
     least = BLOCK
 
-    def __init__(self, world: World, plan: Plan, loop: ClosedLoop, seed: int, make_full: Callable[[], Any]) -> None:
+    def __init__(
+        self, world: World, plan: Plan, loop: ClosedLoop, seed: int, make_full: Callable[[ClosedLoop], Engine]
+    ) -> None:
         """Bind the run.
 
         Args:
@@ -62,9 +119,9 @@ class NominalRun:
         self.world, self.plan, self.loop, self.seed, self.accessible = world, plan, loop, seed, loop.accessible
         self._make_full = make_full
 
-    @cached_property
-    def _full(self) -> Any:
-        return self._make_full()
+    def rolling(self, loop: ClosedLoop) -> Engine:
+        """The full engine of another loop."""
+        return self._make_full(loop)
 
     @cached_property
     def _once(self) -> Tally:
@@ -98,36 +155,25 @@ class NominalRun:
         times: dict[str, Any] = {name: values * count for name, values in self._once.counts().items()}
         return replace(self._once, ids=((start, start + count),), **times)
 
-    def results(self, start: int, count: int) -> RolloutResults:
-        """The results of each of these rollouts."""
+    def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
+        """The tally and the results."""
         names = ("visited", "survived", "time", "alive", "outcomes")
         columns = (np.full(count, np.argmax(getattr(self._once, name)), dtype=np.int32) for name in names)
         visited, survived, time, alive, outcome = columns
-        return RolloutResults(start, visited, survived, time, alive, outcome.astype(np.int8))
-
-    def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
-        """The tally and the results."""
-        return self.tally(start, count), self.results(start, count)
+        results = RolloutResults(start, visited, survived, time, alive, outcome.astype(np.int8))
+        return self.tally(start, count), results
 
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
         """Traces of these rollouts, in the order given."""
         # A truncated loop ends before the plan does: its trace has to be simulated.
         if self.loop.max_steps < self.plan.time:
-            return self._full.traces(rollouts)
+            return self.rolling(self.loop).traces(rollouts)
         once = PythonLoop(self.plan, self.world).trace(self.seed, 0)
         return (replace(once, rollout=rollout) for rollout in rollouts)
 
     def until(self, step: int) -> NominalRun:
         """The same rollouts truncated at the end of `step`."""
-        return NominalRun(self.world, self.plan, self.loop.until(step), self.seed, lambda: self._full.until(step))
-
-    def under(self, truth: World) -> Any:
-        """The same decisions under the threats of `truth`."""
-        return self._full.under(truth)
-
-    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> Any:
-        """The same rollouts with survived visits counted."""
-        return self._full.weighing(covered, found)
+        return NominalRun(self.world, self.plan, self.loop.until(step), self.seed, self._make_full)
 
 
 # A rollout is a pure function of (plan, seed, id): chunk size, engine, threads and devices cannot change a count.
@@ -206,14 +252,14 @@ def run_ranges(
         position = stop
 
 
-# The compiled simulator (`planner.rollouts.closed_loop`) as an engine.
+# The compiled simulator (`planner.rollouts.closed_loop`) as an engine, and the kernels of the open loop.
 
 TRACED = 8
 """Rollouts traced at a time."""
 
 
-class NumbaClosedLoop:
-    """The `Engine` of a closed loop and a seed on Numba."""
+class NumbaClosedLoop(Engine):
+    """The engine of a closed loop and a seed on Numba."""
 
     name = "numba"
 
@@ -227,10 +273,6 @@ class NumbaClosedLoop:
         """The tally of rollouts `start .. start + count - 1`."""
         return closed_loop.run_range(self.loop, self.seed, start, count, threads=self._threads)[0]
 
-    def results(self, start: int, count: int) -> RolloutResults:
-        """The results of each of these rollouts."""
-        return self.run(start, count)[1]
-
     def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
         """The tally and the results, from one pass."""
         tally, results = closed_loop.run_range(self.loop, self.seed, start, count, threads=self._threads, singles=True)
@@ -243,68 +285,49 @@ class NumbaClosedLoop:
         while few := list(itertools.islice(waiting, TRACED)):
             yield from closed_loop.trace_rollouts(self.loop, self.seed, few)
 
-    def until(self, step: int) -> NumbaClosedLoop:
-        """The same rollouts truncated at the end of `step`."""
-        return NumbaClosedLoop(self.loop.until(step), self.seed, threads=self._threads)
-
-    def under(self, truth: World) -> NumbaClosedLoop:
-        """The same decisions under the threats of `truth`."""
-        return NumbaClosedLoop(self.loop.under(truth), self.seed, threads=self._threads)
-
-    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> NumbaClosedLoop:
-        """The same rollouts with survived visits counted (`ClosedLoop.weighing`)."""
-        return NumbaClosedLoop(self.loop.weighing(covered, found), self.seed, threads=self._threads)
+    def rolling(self, loop: ClosedLoop) -> NumbaClosedLoop:
+        """The engine of another loop, with the same seed and threads."""
+        return NumbaClosedLoop(loop, self.seed, threads=self._threads)
 
 
-class Engine(Protocol):
-    """Rolls out one plan. Ids are whole numbers below 2**32."""
+class OpenLoop(Engine):
+    """The engine of one compiled plan's open loop and a seed, on the kernel of either back end."""
 
-    @property
-    def name(self) -> str:
-        """ "jax", "numba" or, where no robot can be lost, "nominal run"."""
-        ...
+    least = BLOCK
 
-    @property
-    def least(self) -> int:
-        """Rollouts that a call should have: a block or several, on large maps a part of one."""
-        ...
-
-    @property
-    def accessible(self) -> int:
-        """Number of cells that count for coverage."""
-        ...
+    def __init__(self, loop: CompiledPlan, seed: int, name: str, make_kernel: MakeKernel) -> None:
+        """Args: `make_kernel`: makes the kernel; `name`: of the back end. No count depends on either."""
+        self.loop, self.seed, self.name = loop, seed, name
+        self.accessible, self._make_kernel = loop.accessible, make_kernel
+        self._kernel = make_kernel(loop, seed)
 
     def tally(self, start: int, count: int) -> Tally:
         """The tally of rollouts `start .. start + count - 1`."""
-        ...
+        return tally_of(self.loop, self.seed, start, self._kernel.counts(start, count))
 
     def results(self, start: int, count: int) -> RolloutResults:
         """The results of each of these rollouts."""
-        ...
+        return self._kernel.results(start, count)
 
     def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
         """The tally and the results."""
-        ...
+        return self.tally(start, count), self.results(start, count)
 
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
         """Traces of these rollouts, in the order given."""
-        ...
+        return (open_loop_trace(self.loop.plan, self.loop.world, self.seed, one) for one in rollouts)
 
-    def until(self, step: int) -> Engine:
-        """The same rollouts truncated at the end of `step`."""
-        ...
+    def rolling(self, loop: CompiledPlan) -> OpenLoop:
+        """The engine of another plan, with the same seed and back end."""
+        return OpenLoop(loop, self.seed, self.name, self._make_kernel)
 
-    def under(self, truth: World) -> Engine:
-        """The same decisions under the threats of `truth`, a map of the same cells."""
-        ...
-
-    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> Engine:
-        """The same closed-loop rollouts with survived visits counted and values summed up (`ClosedLoop.weighing`).
+    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> OpenLoop:
+        """Not supported: `analysis.theory.exact` has the exact value.
 
         Raises:
-            UsageError: an open loop, whose values are exact.
+            UsageError: always.
         """
-        ...
+        raise UsageError("survived visits are only counted in the closed loop", expected="exact values")
 
 
 @dataclass(frozen=True)
@@ -348,8 +371,8 @@ def make_engine(
     if how.loop == "open":
         return open_loop_engine(compile_plan(plan, world), how.seed, engine)
     loop = compile_closed_loop(plan, world, first_only=how.first_only, kept=kept)
-    make = partial(closed_loop_engine, loop, how.seed, engine)
-    return NominalRun(world, plan, loop, how.seed, make) if engine == "auto" and is_nominal(plan, world) else make()
+    make = partial(closed_loop_engine, seed=how.seed, engine=engine)
+    return NominalRun(world, plan, loop, how.seed, make) if engine == "auto" and is_nominal(plan, world) else make(loop)
 
 
 def open_loop_engine(

@@ -145,11 +145,6 @@ class ClosedLoop:
         return len(self.tables.home_cost) > 0
 
     @property
-    def is_mixed(self) -> bool:
-        """True if robots are of several types or speeds, or radio has a limited range."""
-        return len(self.tables.type_of) + len(self.tables.pace) + len(self.tables.reach) > 0
-
-    @property
     def runs_alone(self) -> bool:
         """True if each rollout is a separate group: no two have the same detector readings."""
         return bool(self.tables.lessons[DETECTS:].any())
@@ -240,7 +235,8 @@ class ClosedLoop:
 
     def under(self, world: World) -> ClosedLoop:
         """The same decisions under the threats of `world`, a map of the same cells."""
-        tables = self.tables._replace(**visit_tables(self._kinds(world), self.cells))
+        kinds = kinds_of(world, self.failure_model.types, self.robots)
+        tables = self.tables._replace(**visit_tables(kinds, self.cells))
         return replace(
             self, identity=f"{self.identity}~{world.randomness_sha256}", tables=tables, purpose=purpose_of(world)
         )
@@ -248,9 +244,6 @@ class ClosedLoop:
     def scoring(self) -> ClosedLoop:
         """The same rollouts, counted also for `planner.rollouts.coverage_gradient`."""
         return replace(self, identity=f"{self.identity}#scores", tables=self.tables._replace(scores=True))
-
-    def _kinds(self, world: World) -> tuple[World, ...]:
-        return kinds_of(world, self.failure_model.types, self.robots)
 
     def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> ClosedLoop:
         """The same rollouts with survived visits counted and values summed up.

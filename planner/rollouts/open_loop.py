@@ -18,17 +18,17 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arguments import BLOCK, MAX_STEP, argument
-from planner.errors import PlanError, UsageError, names_of_0_3
+from planner.arguments import MAX_STEP, argument
+from planner.errors import PlanError, names_of_0_3
 from planner.failure_model import FailureModel, least_word
 from planner.plan.plan import Plan, entries, last_move
 from planner.rollouts.open_loop_events import (
@@ -42,11 +42,10 @@ from planner.rollouts.open_loop_events import (
     joint_draws,
     make_groups,
     make_guide,
-    open_loop_trace,
     source_counts,
 )
 from planner.simulator.codes import Outcome
-from planner.tally import RolloutResults, Tally, Trace, tally_key
+from planner.tally import Tally, tally_key
 from planner.world.uncertain_maps import UNIT
 from planner.world.world import World
 
@@ -265,18 +264,6 @@ class RangeCounts:
     complete_dead: int
 
 
-class OpenLoopKernel(Protocol):
-    """Counts rollouts of one compiled plan and seed."""
-
-    def counts(self, start: int, count: int) -> RangeCounts:
-        """The counts of rollouts `start .. start + count - 1`."""
-        ...
-
-    def results(self, start: int, count: int) -> RolloutResults:
-        """The results of each of these rollouts."""
-        ...
-
-
 def tally_of(compiled: CompiledPlan, seed: int, start: int, counts: RangeCounts) -> Tally:
     """The tally of consecutive rollouts.
 
@@ -367,51 +354,6 @@ def plane_count(weight: NDArray[np.int64]) -> int:
     return max(1, int(weight.max(initial=0)).bit_length())
 
 
-# The open loop as an engine: kernels of either back end count; tallies, results and traces are made here.
-
-MakeKernel = Callable[[CompiledPlan, int], OpenLoopKernel]
-
-
-class OpenLoop:
-    """The `Engine` of one compiled plan's open loop and a seed."""
-
-    least = BLOCK
-
-    def __init__(self, compiled: CompiledPlan, seed: int, name: str, make_kernel: MakeKernel) -> None:
-        """Args: `make_kernel`: makes the kernel; `name`: of the back end. No count depends on either."""
-        self.compiled, self.seed, self.name = compiled, seed, name
-        self.accessible, self._make_kernel = compiled.accessible, make_kernel
-        self._kernel = make_kernel(compiled, seed)
-
-    def tally(self, start: int, count: int) -> Tally:
-        """The tally of rollouts `start .. start + count - 1`."""
-        return tally_of(self.compiled, self.seed, start, self._kernel.counts(start, count))
-
-    def results(self, start: int, count: int) -> RolloutResults:
-        """The results of each of these rollouts."""
-        return self._kernel.results(start, count)
-
-    def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
-        """The tally and the results."""
-        return self.tally(start, count), self.results(start, count)
-
-    def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
-        """Traces of these rollouts, in the order given."""
-        plan, world = self.compiled.plan, self.compiled.world
-        return (open_loop_trace(plan, world, self.seed, one) for one in rollouts)
-
-    def until(self, step: int) -> OpenLoop:
-        """The same rollouts truncated at the end of `step`."""
-        return OpenLoop(self.compiled.until(step), self.seed, self.name, self._make_kernel)
-
-    def under(self, truth: World) -> OpenLoop:
-        """The same paths under the threats of `truth`."""
-        return OpenLoop(self.compiled.under(truth), self.seed, self.name, self._make_kernel)
-
-    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> OpenLoop:
-        """Not supported: `analysis.theory.exact` has the exact value.
-
-        Raises:
-            UsageError: always.
-        """
-        raise UsageError("survived visits are only counted in the closed loop", expected="exact values")
+MakeKernel = Callable[[CompiledPlan, int], Any]
+"""Makes the kernel of a plan and a seed: its `counts(start, count)` are the `RangeCounts` of these rollouts, its
+`results(start, count)` their `RolloutResults`."""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,6 +14,7 @@ from planner.failure_model import FailureModel
 from planner.plan.plan import Plan, RobotPlan, last_move
 from planner.rollout_sampling import Luck
 from planner.simulator.codes import NO_AREA, NO_ROBOT, Doing, EventKind, Outcome
+from planner.simulator.thresholds import threefry2x32
 from planner.tally import Trace
 from planner.world.uncertain_maps import Draws
 from planner.world.world import World
@@ -256,17 +256,11 @@ def make_groups(depth: NDArray[np.int64], most_pair_rows: int = MOST_PAIR_ROWS) 
         order = np.append(order, NO_ROBOT)
     half = len(order) // 2
     slots = np.stack([order[:half], order[half:][::-1]], axis=1).reshape(-1)
-    pair_size = np.where(slots >= 0, depth[slots] + 1, 1)
-    pair_rows = pair_size.reshape(-1, 2).prod(axis=1)
-    if len(depth) > 1 and pair_rows.sum() <= most_pair_rows:
-        return _number(slots, pair_size, 2, pair_rows)
-    single = np.arange(len(depth), dtype=np.int64)
-    return _number(single, depth + 1, 1, depth + 1)
-
-
-def _number(slots: NDArray[np.int64], size: NDArray[np.int64], members: int, rows: NDArray[np.int64]) -> Groups:
-    first = np.cumsum(rows) - rows
-    return Groups(slot_robot=slots, size=size, members=members, first_row=first, row_count=int(rows.sum()))
+    size, members = np.where(slots >= 0, depth[slots] + 1, 1), 2
+    rows = size.reshape(-1, 2).prod(axis=1)
+    if len(depth) == 1 or rows.sum() > most_pair_rows:
+        slots, size, rows, members = np.arange(len(depth), dtype=np.int64), depth + 1, depth + 1, 1
+    return Groups(slots, size, members, np.cumsum(rows) - rows, int(rows.sum()))
 
 
 # First coverage: the events of shared cells, and the tally's arrays from event counts.
@@ -278,8 +272,6 @@ def _number(slots: NDArray[np.int64], size: NDArray[np.int64], members: int, row
 # with a weight.
 
 WORD_BITS = 32
-Visitor = tuple[int, int, int]
-"""(step, robot, requirement) of a robot's first entry of a cell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -346,6 +338,73 @@ def source_counts(
     return np.concatenate([*parts, event_counts])
 
 
+class _Local(NamedTuple):
+    """Sources of one group's events: linear in the requirements of its robots, of which `size` is never reached.
+
+    Attributes:
+        group, size, stride: int64 `[K]`, of each robot. never: int64 `[G]`, source of the event that never happens.
+        sources: their number.
+    """
+
+    group: NDArray[np.int64]
+    size: NDArray[np.int64]
+    stride: NDArray[np.int64]
+    never: NDArray[np.int64]
+    sources: int
+
+    @classmethod
+    def of(cls, groups: Groups) -> _Local:
+        """The sources of all groups, one after the other."""
+        pairs = np.array([groups.sizes(group) for group in range(groups.count)])
+        tables = (pairs + 1).prod(axis=1)
+        strides = np.stack([pairs[:, 1] + 1, np.ones_like(pairs[:, 0])], axis=1)
+        never, slot = np.cumsum(tables) - tables + (pairs * strides).sum(axis=1), groups.slot_of
+        stride = strides[:, : groups.members].ravel()[slot]
+        return cls(slot // groups.members, groups.size[slot], stride, never, int(tables.sum()))
+
+    def change(self, robot: NDArray[np.int64], need: NDArray[np.int64]) -> NDArray[np.int64]:
+        """What the robot's requirement adds to `never` of its group."""
+        return (need - self.size[robot]) * self.stride[robot]
+
+
+class _Visitors(NamedTuple):
+    """Visitors cell by cell in order of time. The event of each: it, or one before it, covers the cell.
+
+    Cells `[N ..]` and steps `[T + 1 ..]` are those of survived coverage.
+
+    Attributes:
+        cell, step, robot, need: int64 `[P]`, a robot's first entry of a cell, and the least outcome that makes it.
+        start: int64 `[P]`, where the visitors of the cell begin; after a certain one (need 0) there is none.
+    """
+
+    cell: NDArray[np.int64]
+    step: NDArray[np.int64]
+    robot: NDArray[np.int64]
+    need: NDArray[np.int64]
+    start: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, entries: Entries, size: NDArray[np.int64], cells: int, steps: int) -> _Visitors:
+        """The visitors that can reach each cell; `size`: outcomes of each robot."""
+        first = np.flatnonzero(entries.first)
+        survived = np.repeat([0, 1], len(first))
+        cell, step, robot, passed, dangerous = (
+            np.tile(of[first], 2)
+            for of in (entries.cell, entries.step, entries.robot, entries.passed, entries.dangerous)
+        )
+        need, cell, step = passed + dangerous * survived, cell + cells * survived, step + steps * survived
+        kept = np.flatnonzero(need < size[robot])
+        kept = kept[np.lexsort((robot[kept], step[kept], cell[kept]))]
+        certain = np.cumsum(need[kept] == 0) - (need[kept] == 0)
+        kept = kept[certain == certain[np.searchsorted(cell[kept], cell[kept])]]
+        return cls(cell[kept], step[kept], robot[kept], need[kept], np.searchsorted(cell[kept], cell[kept]))
+
+    def running(self, values: NDArray) -> NDArray:
+        """Sums of `values` `[P]` over the event of each visitor: a certain visitor's event is its own alone."""
+        total = np.cumsum(values)
+        return np.where(self.need == 0, values, total - (total - values)[self.start])
+
+
 def collect_events(entries: Entries, groups: Groups, cells: int, last_step: int) -> Events:
     """Collect all events of a plan. Cost: O(first entries), once for each meaning of coverage.
 
@@ -355,187 +414,92 @@ def collect_events(entries: Entries, groups: Groups, cells: int, last_step: int)
         cells: N.
         last_step: T.
     """
-    book = _Book(groups)
-    steps = last_step + 1
-    visits_at, stops_at = 2 * steps, 2 * steps + cells
-    book.count_entries(entries, visits_at, stops_at)
-    visited, survived = Counter[int](), Counter[int]()
-    for cell, visitors in _visitors(entries, groups, survive=False):
-        visited[book.follow(visitors, 0, stops_at + cells + cell)] += 1
-    for cell, visitors in _visitors(entries, groups, survive=True):
-        survived[book.follow(visitors, steps, stops_at + 2 * cells + cell)] += 1
-    joint = book.sort_joint(lambda source: visited[source] + survived[source] > 0)
+    steps, local, collected = last_step + 1, _Local.of(groups), list[NDArray[np.int64]]()
+
+    def add(row: NDArray[np.int64], source: NDArray[np.int64], sign: int) -> None:
+        collected.append(np.stack([row, source, np.full(len(row), sign)]))
+
+    for row, later, sign, some in (
+        (0, 0, 1, entries.robot >= 0), (cells, 0, 1, entries.dangerous), (cells, 1, -1, entries.dangerous),
+    ):  # fmt: skip
+        made = some & (entries.passed + later < local.size[entries.robot])
+        robot = entries.robot[made]
+        source = local.never[local.group[robot]] + local.change(robot, entries.passed[made] + later)
+        add(2 * steps + row + entries.cell[made], source, sign)
+
+    seen = _Visitors.of(entries, local.size, cells, steps)
+    group = local.group[seen.robot]
+    of_one = (seen.need == 0) | (seen.running((group != group[seen.start]).astype(np.int64)) == 0)
+    event = local.never[group] + seen.running(local.change(seen.robot, seen.need))
+    # Visitors of one step cover the cell together: the event of the last one counts.
+    last = np.append((seen.cell[1:] != seen.cell[:-1]) | (seen.step[1:] != seen.step[:-1]), True)
+    # The sum of random numbers of (robot, requirement) names a set of them: equal sets of several cells are one event.
+    high, low = threefry2x32((0, 0), seen.robot, seen.need)
+    name, joint = seen.running(high.astype(np.uint64) << np.uint64(32) | low), np.flatnonzero(last & ~of_one)
+    _, first, number = np.unique(name[joint], return_index=True, return_inverse=True)
+    event[joint] = local.sources + number
+    event, cell, step, final = (
+        event[last],
+        seen.cell[last],
+        seen.step[last],
+        np.append(np.diff(seen.cell[last]) > 0, True),
+    )
+    follows = np.flatnonzero(~final[:-1]) + 1
+    add(step, event, 1)
+    add(step[follows], event[follows - 1], -1)
+    add(2 * steps + 2 * cells + cell[final], event[final], 1)
     weights = [
-        np.array([counter[source] for source in joint], dtype=np.int64).reshape(len(joint))
-        for counter in (visited, survived)
+        np.bincount(event[final & (cell // cells == meaning)], minlength=local.sources + len(first))
+        for meaning in (0, 1)
     ]
+    shown = [weight[local.sources :] for weight in weights]
+
+    # The members of each joint event: its visitor, and those before it in the cell.
+    place = joint[first]
+    length = place + 1 - seen.start[place]
+    member = np.repeat(place - np.cumsum(length) + 1, length) + np.arange(length.sum())
+    owner = np.repeat(np.arange(len(place)), length)
+    least = np.full(len(place), np.iinfo(np.int64).max)
+    np.minimum.at(least, owner, seen.need[member])
+    order = np.lexsort((least, shown[0] + shown[1] == 0))
+    bit, (row, source, sign) = np.argsort(order), np.concatenate(collected, axis=1)
+    source = np.append(np.arange(local.sources), local.sources + bit)[source]
+    shape = (2 * steps + 4 * cells, local.sources + len(place))
     return Events(
-        bits=_pack([book.joint[source - book.local_count] for source in joint], groups),
-        count=len(joint),
-        weighted_words=-(-int(((weights[0] + weights[1]) > 0).sum()) // WORD_BITS),
-        visited_weight=weights[0],
-        survived_weight=weights[1],
-        own_visited=_own_cells(visited, groups),
-        own_survived=_own_cells(survived, groups),
-        matrix=book.matrix(2 * steps + 4 * cells),
+        bits=_pack(seen.robot[member], seen.need[member], bit[owner], len(place), groups),
+        count=len(place),
+        weighted_words=-(-int(np.count_nonzero(shown[0] + shown[1])) // WORD_BITS),
+        visited_weight=shown[0][order],
+        survived_weight=shown[1][order],
+        own_visited=_own_cells(weights[0], groups),
+        own_survived=_own_cells(weights[1], groups),
+        matrix=csr_array((sign, (row, source)), shape=shape, dtype=np.int64),
         steps=steps,
         cells=cells,
     )
 
 
-def _visitors(entries: Entries, groups: Groups, survive: bool) -> Iterator[tuple[int, list[Visitor]]]:
-    """Each cell with its possible visitors in order of (step, robot), up to the first certain one."""
-    depth = groups.size[groups.slot_of] - 1
-    need = entries.passed + (entries.dangerous if survive else 0)
-    kept = np.flatnonzero(entries.first & (need <= depth[entries.robot]))
-    order = kept[np.lexsort((entries.robot[kept], entries.step[kept], entries.cell[kept]))]
-    columns = (entries.step[order].tolist(), entries.robot[order].tolist(), need[order].tolist())
-    visitors = list(zip(*columns, strict=True))
-    cells, starts = np.unique(entries.cell[order], return_index=True)
-    for cell, start, stop in zip(cells.tolist(), starts.tolist(), [*starts[1:].tolist(), len(order)], strict=True):
-        mine = visitors[start:stop]
-        certain = next((place for place, (_, _, needed) in enumerate(mine) if needed == 0), len(mine))
-        yield cell, mine[: certain + 1]
-
-
-class _Book:
-    """Numbers the distinct events as sources, and collects the entries of the tally's matrix."""
-
-    def __init__(self, groups: Groups) -> None:
-        self.groups = groups
-        self.joint: list[dict[int, int]] = []
-        self._joint_number: dict[frozenset[tuple[int, int]], int] = {}
-        shapes = [groups.sizes(g) for g in range(groups.count)]
-        self._first_local = np.cumsum([0] + [(a + 1) * (b + 1) for a, b in shapes]).tolist()
-        self.local_count = self._first_local[-1]
-        self._slot = groups.slot_of.tolist()
-        self._rows: list[int] = []
-        self._sources: list[int] = []
-        self._signs: list[int] = []
-        self._bit_of = np.zeros(0, dtype=np.int64)
-
-    def local(self, needs: dict[int, int]) -> int | None:
-        """The source of an event of one group of robots; None if it needs several groups.
-
-        Args:
-            needs: requirement by robot.
-        """
-        members = self.groups.members
-        group = self._slot[next(iter(needs))] // members
-        first, second = self.groups.sizes(group)
-        never = [first, second]
-        for robot, need in needs.items():
-            slot = self._slot[robot]
-            if slot // members != group:
-                return None
-            never[slot % members] = need
-        return self._first_local[group] + never[0] * (second + 1) + never[1]
-
-    def source(self, needs: dict[int, int]) -> int:
-        """The source of an event.
-
-        Args:
-            needs: requirement by robot.
-        """
-        local = self.local(needs)
-        if local is not None:
-            return local
-        name = frozenset(needs.items())
-        if name not in self._joint_number:
-            self._joint_number[name] = len(self.joint)
-            self.joint.append(dict(needs))
-        return self.local_count + self._joint_number[name]
-
-    def follow(self, visitors: list[Visitor], first_step_row: int, covered_row: int) -> int:
-        """Enter one cell: new at each visitor's step, covered at the end.
-
-        Args:
-            visitors: in order of time.
-            first_step_row: row of the matrix for step 0.
-            covered_row: row for the cell's coverage.
-
-        Returns:
-            The source of its coverage.
-        """
-        needs: dict[int, int] = {}
-        before = -1
-        for place, (step, robot, need) in enumerate(visitors):
-            if need == 0:
-                needs = {robot: 0}  # certain from here on, whatever happened to earlier visitors
-            else:
-                needs[robot] = need
-            # Visitors in the same step count together: the cell is new in that step once.
-            if place + 1 < len(visitors) and visitors[place + 1][0] == step:
-                continue
-            now = self.source(needs)
-            self._add(first_step_row + step, now, 1)
-            if before >= 0:
-                self._add(first_step_row + step, before, -1)
-            before = now
-        self._add(covered_row, before, 1)
-        return before
-
-    def count_entries(self, entries: Entries, visits_row: int, stops_row: int) -> None:
-        """Enter the visits and losses of every cell."""
-        depth = (self.groups.size[self.groups.slot_of] - 1).tolist()
-        columns = (entries.robot.tolist(), entries.cell.tolist(), entries.passed.tolist(), entries.dangerous.tolist())
-        for robot, cell, passed, dangerous in zip(*columns, strict=True):
-            if passed > depth[robot]:
-                continue
-            made = self.source({robot: passed})
-            self._add(visits_row + cell, made, 1)
-            if dangerous:
-                self._add(stops_row + cell, made, 1)
-                if passed < depth[robot]:
-                    self._add(stops_row + cell, self.source({robot: passed + 1}), -1)
-
-    def sort_joint(self, has_weight: Callable[[int], bool]) -> list[int]:
-        """Sources of the joint events in the order of their bits: with a weight first, by least requirement."""
-        first = self.local_count
-
-        def order(source: int) -> tuple[bool, int]:
-            return (not has_weight(source), min(self.joint[source - first].values()))
-
-        joint = sorted(range(first, first + len(self.joint)), key=order)
-        self._bit_of = np.empty(len(joint), dtype=np.int64)
-        self._bit_of[np.array(joint, dtype=np.int64) - first] = np.arange(len(joint))
-        return joint
-
-    def matrix(self, rows: int) -> csr_array:
-        """The collected matrix, int64 `[rows, sources]`, joint events in the order of `sort_joint`."""
-        values, sources = np.array(self._signs, dtype=np.int64), np.array(self._sources, dtype=np.int64)
-        joint = sources >= self.local_count
-        sources[joint] = self.local_count + self._bit_of[sources[joint] - self.local_count]
-        shape = (rows, self.local_count + len(self.joint))
-        return csr_array((values, (np.array(self._rows), sources)), shape=shape, dtype=np.int64)
-
-    def _add(self, row: int, source: int, sign: int) -> None:
-        self._rows.append(row)
-        self._sources.append(source)
-        self._signs.append(sign)
-
-
-def _own_cells(weights: Counter[int], groups: Groups) -> NDArray[np.uint32]:
+def _own_cells(weights: NDArray[np.int64], groups: Groups) -> NDArray[np.uint32]:
     """Cells covered by a group's own events in each of its rows, uint32 `[R]`; `weights`: cells by source."""
     parts, start = [], 0
     for group in range(groups.count):
         first, second = groups.sizes(group)
-        size = (first + 1) * (second + 1)
-        table = np.array([weights[start + place] for place in range(size)], dtype=np.int64).reshape(first + 1, -1)
+        table = weights[start : start + (first + 1) * (second + 1)].reshape(first + 1, -1)
         beyond = table[::-1, ::-1].cumsum(0).cumsum(1)[::-1, ::-1]  # cells with both requirements at least (a, b)
         parts.append((table.sum() - beyond[1:, 1:]).reshape(-1))
-        start += size
+        start += table.size
     return np.concatenate(parts).astype(np.uint32)
 
 
-def _pack(joint: list[dict[int, int]], groups: Groups) -> NDArray[np.uint32]:
-    """The bits of every row, uint32 `[R, W]`."""
-    words = -(-len(joint) // WORD_BITS)
-    by_robot = [np.zeros((size, words), dtype=np.uint32) for size in groups.size[groups.slot_of].tolist()]
-    for event, needs in enumerate(joint):
-        for robot, need in needs.items():
-            by_robot[robot][need, event // WORD_BITS] |= np.uint32(1 << event % WORD_BITS)
-    reached = [np.bitwise_or.accumulate(table, axis=0) for table in by_robot]
+def _pack(
+    robot: NDArray[np.int64], need: NDArray[np.int64], bit: NDArray[np.int64], count: int, groups: Groups
+) -> NDArray[np.uint32]:
+    """The bits of every row, uint32 `[R, W]`: outcomes of `robot` from `need` on set `bit`."""
+    size = groups.size[groups.slot_of]
+    table = np.zeros((int(size.sum()), -(-count // WORD_BITS)), dtype=np.uint32)
+    outcome = (np.cumsum(size) - size)[robot] + need
+    np.bitwise_or.at(table, (outcome, bit // WORD_BITS), np.uint32(1) << (bit % WORD_BITS).astype(np.uint32))
+    reached = [np.bitwise_or.accumulate(one, axis=0) for one in np.split(table, np.cumsum(size)[:-1])]
     return groups.rows(reached, np.bitwise_or)
 
 

@@ -429,7 +429,7 @@ def _count_events(union, words, nibbles, octets, event_sum):  # type: ignore[no-
 
 
 class NumbaOpenLoop:
-    """The `OpenLoopKernel` of one plan and seed on Numba.
+    """The kernel (`open_loop.MakeKernel`) of one plan and seed on Numba.
 
     Args:
         compiled: the plan.

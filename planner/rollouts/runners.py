@@ -310,7 +310,8 @@ class Runner:
         options = loop.max_steps, loop.first_only, loop.stay_inside, 0
         self.how = How._make((*keys[:4], *options, *keys[4:], 0, 0, None, None))
         # A cached path is fixed when it begins: not with rules that re-evaluate, map updates, ranges, or several types.
-        remembers = loop.policy is None and not (loop.stay_inside or loop.learns or loop.comes_home or loop.is_mixed)
+        differ = len(loop.tables.type_of) + len(loop.tables.pace) + len(loop.tables.reach) > 0
+        remembers = loop.policy is None and not (loop.stay_inside or loop.learns or loop.comes_home or differ)
         self.work = make_work(loop.tables, most, remembers, known.pop() if known else None)
         self._done: list[tuple[int, int]] = []
         self._make_room(first_room(loop.tables))

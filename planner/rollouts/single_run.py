@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.mrac.problem import Problem, ready_loop
-from planner.plan.plan import Area, Leg, Plan
+from planner.plan.plan import Area, Leg, Plan, last_move
 from planner.plan.state import AreaState, MissionState, RobotState
 from planner.rollout_sampling import rows_met
 from planner.rollouts.closed_loop import compile_closed_loop, logged_rollouts, trace_from
@@ -524,7 +524,7 @@ def _as_run(
     """The run that ended in the state `raw`. `legs`: `Log.legs` of its own steps."""
     alive, home = raw.robots["doing"] != Doing.DEAD, np.zeros(loop.robots, dtype=np.bool_)
     return Run(
-        paths=tuple(without_waiting(path) for path in trace.cells.T.astype(np.int64)),
+        paths=tuple(path[: last_move(path) + 1] for path in trace.cells.T.astype(np.int64)),
         legs=legs_of(loop, legs, raw.areas["level"]),
         areas_added=made,
         bisected=int(raw.marks["bisected"]),
@@ -594,12 +594,6 @@ def legs_of(loop: ClosedLoop, noted: NDArray[np.int32], level: NDArray[np.int32]
 def at_base(tables: Tables, raw: State) -> NDArray[np.bool_]:
     """bool `[K]`: robots that are not lost and are at a base. Only for robots that return to base."""
     return (tables.home_steps[tables.home_of, raw.robots["cell"]] == 0) & (raw.robots["doing"] != Doing.DEAD)
-
-
-def without_waiting(path: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The path up to its last move."""
-    moves = np.flatnonzero(path[1:] != path[:-1])
-    return path[: int(moves[-1]) + 2 if len(moves) else 1]
 
 
 # A run as the state of a mission (SPEC section 12).
