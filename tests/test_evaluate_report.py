@@ -31,7 +31,7 @@ from analysis.evaluation.report import (
 )
 from analysis.evaluation.report import report as evaluation_report
 from analysis.evaluation.tables import WORDS, answer_tables, formula_counts, formulas_text, over_time
-from analysis.page.document import curves_html
+from analysis.page.charts import chart_html
 from analysis.report.answer import print_report
 from analysis.sampling import RolloutChoices, make_roll_out
 from analysis.statistics.estimates import (
@@ -830,7 +830,7 @@ def test_the_page_s_table_shows_the_band_only_where_it_was_looked_at(world: Worl
     band = answer.outputs.get("band")
     assert band is not None
     assert len(band.steps) < band.steps[-1]
-    rows = re.findall(r"<tr>(.*?)</tr>", curves_html(over_time(answer)), re.DOTALL)
+    rows = re.findall(r"<tr>(.*?)</tr>", chart_html(over_time(answer)), re.DOTALL)
     table = [
         [html.unescape(cell).replace("\xa0", " ") for cell in re.findall(r"<t[hd][^>]*>([^<]*)</t[hd]>", row)]
         for row in rows
@@ -841,7 +841,7 @@ def test_the_page_s_table_shows_the_band_only_where_it_was_looked_at(world: Worl
     for step, low, middle, high in zip(
         *map(np.ndarray.tolist, (band.steps, band.low, band.median, band.high)), strict=True
     ):
-        lowest, median, highest = (f"{100 * value / cells:,.1f}" for value in (low, middle, high))
+        lowest, median, highest = (f"{100 * value / cells:,.2f}" for value in (low, middle, high))
         said[f"{step:,}"] = median if low == high else f"{median} ({lowest} .. {highest})"
     assert len(table) > 30
     for row in table[1:]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from analysis.estimators.trial import closed_truth
 from analysis.inputs import map_size
-from analysis.page.document import Chart, Series
+from analysis.page.elements import Chart, Series
 from analysis.report.answer import Answer, json_end
 from analysis.sampling import Exactness, RolloutChoices, make_roll_out
 from analysis.statistics.estimates import Estimate, over_maps, proportion

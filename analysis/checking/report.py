@@ -19,7 +19,7 @@ from analysis.checking.check import (
     survey_starts,
     survey_world,
 )
-from analysis.page.document import Chart
+from analysis.page.elements import Chart
 from analysis.report.answer import asked, json_end, map_text
 from analysis.report.model import CellMaps, KeyFigure, Part, Report
 from analysis.statistics.estimates import ALPHA, between

@@ -32,6 +32,7 @@ from analysis.evaluation.outputs.information import Experience, Knowledge
 from analysis.evaluation.outputs.over_time import Band, Deadline, Turning
 from analysis.evaluation.outputs.value import Value
 from analysis.evaluation.outputs.what_if import EqualRobots, MapVariance, ThreatScale, alike
+from analysis.page.elements import Run as DrawnRun
 from analysis.report.answer import Answer
 from analysis.sampling import (
     RolloutChoices,
@@ -74,7 +75,6 @@ from planner.world.world import World
 
 if TYPE_CHECKING:
     from analysis.evaluation.layers import Layers
-    from analysis.page.maps import Run as DrawnRun
 
 
 # The result of an evaluation: the plan, its exact values and bounds, and the tally of its rollouts.

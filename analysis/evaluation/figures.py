@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.estimators.trial import SLACK
-from analysis.page.document import Chart, Series
+from analysis.page.elements import CellLayer, Chart, Series
 from analysis.report.model import Pictured
 from analysis.sampling import RollOut, RolloutChoices, Stage
 from analysis.statistics.estimates import (
@@ -46,10 +46,6 @@ from planner.rollouts.tables import AllPairs
 from planner.simulator.codes import Outcome
 from planner.tally import Tally
 from planner.world.world import World
-
-if TYPE_CHECKING:
-    from analysis.page.maps import CellLayer
-
 
 # Figures of a tally: estimated once for text, tables, JSON and pictures.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from rich.table import Table
 
 from analysis.evaluation.evaluate import Evaluation
 from analysis.evaluation.figures import NAMES, TO_DO, Figures, Rest, Row, coverage_row, known_text
-from analysis.page.document import Chart, Series
+from analysis.page.elements import CellLayer, Chart, Series
 from analysis.report.model import CellMaps, Part, Planned
 from analysis.statistics.estimates import AT_LEAST, losses_shown, of_all
 from analysis.theory.bounds import Theorem3
@@ -22,10 +21,6 @@ from analysis.utils.tables import make_table
 from planner.formatting import at_least_text, counted, in_percent, percent
 from planner.plan.plan import drive_of
 from planner.simulator.codes import Outcome
-
-if TYPE_CHECKING:
-    from analysis.page.maps import CellLayer
-
 
 # Tables of an evaluation: probabilities, losses, time and coverage; the worst cells; the robots.
 
@@ -304,8 +299,6 @@ def distribution(evaluation: Evaluation, *, picture: bool = False) -> Sequence[C
         x_name="at least this share of the accessible cells, %",
         y_name="chance, %",
         unit="%",
-        digits=2,
-        x_digits=1,
         y_range=(0, 100),
         at_y=((95.0, "95 % of runs"),),
     )
@@ -318,7 +311,6 @@ def distribution(evaluation: Evaluation, *, picture: bool = False) -> Sequence[C
         x_name=f"share of the accessible cells, % (bins of {counted(int(edges[1] - edges[0]), 'cell')})",
         y_name=f"share of the {of}, %",
         unit="%",
-        x_digits=1,
         at_x=tuple((100 * value / cells, name) for name, value in shown.items()),
     )
     return sure, bars

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 from scipy.special import ndtri
 
-from analysis.page.document import Chart, Series
+from analysis.page.elements import Chart, Series
 from analysis.report.answer import json_end
 from analysis.report.model import Part, Report
 from analysis.sampling import RolloutChoices

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.page.document import Chart
+from analysis.page.elements import CellLayer, Chart, Run
 from planner.formatting import UNPACED, Pace
 from planner.world.world import World
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
 
-    from analysis.page.maps import CellLayer, Run
     from planner.files import Json
     from planner.plan.plan import Plan
 

@@ -8,6 +8,7 @@ import numpy as np
 import yaml
 from rich.table import Table
 
+from analysis.page.elements import CellLayer
 from analysis.report.answer import (
     asked,
     map_text,
@@ -135,12 +136,9 @@ def _starts_maps(starts: Starts) -> CellMaps:
     """The map of coverage by depot, for simulated depots, and of threat."""
     from matplotlib.colors import Normalize
 
-    from analysis.page.maps import CellLayer
-    from analysis.pictures import COVERED, THREAT
-
     world = starts.world
     threat = np.nan_to_num(np.where(world.accessible(starts.starts), world.threat, 0.0).astype(np.float64))
-    layers = [CellLayer("Threat", "Probability that one visit destroys the robot.", threat, THREAT, "%", digits=2)]
+    layers = [CellLayer("Threat", "Probability that one visit destroys the robot.", threat, "threat", "%", digits=2)]
     if starts.depot:
         covered, known = np.zeros(world.shape), [place for place in starts.simulated if place.counted is not None]
         for place in known:
@@ -148,7 +146,7 @@ def _starts_maps(starts: Starts) -> CellMaps:
         # The scale starts at the least simulated coverage: 0 means "not simulated".
         low, high = covered[covered > 0].min(initial=1.0), covered.max()
         about = f"Share {starts.covered} on average if all robots start in the cell; 0 where it was not simulated."
-        layers.insert(0, CellLayer("Coverage by depot", about, covered, COVERED, "%", digits=2, short="Depots",
+        layers.insert(0, CellLayer("Coverage by depot", about, covered, "covered", "%", digits=2, short="Depots",
                                    norm=Normalize(low, high if high > low else low + 0.01), discs=True,
                                    labels=tuple(np.linspace(low, high, 4 if high > low else 1))))  # fmt: skip
     return CellMaps(world, starts.starts, layers)
@@ -321,19 +319,16 @@ def _clear_key_figures(clearing: Clearing) -> list[KeyFigure]:
 
 def _clear_maps(clearing: Clearing, only: int | None = None) -> CellMaps:
     """Maps of the gains after replanning and with the old plan, and of marginal risk by cell; `only`: one of them."""
-    from analysis.page.maps import CellLayer
-    from analysis.pictures import COVERED, LOSSES
-
     options, shape = clearing.options, clearing.world.shape
     known, unknown = by_cell(options, shape, lambda one: one.known), by_cell(options, shape, lambda one: one.unknown)
     won = f"{KINDS_OF_GAIN[clearing.unit]} gained"
     paid = "Cells lost for each percent of threat added to a cell: open loop, same paths. Not the gain of removing it."
     layers = [
-        CellLayer(f"{won}, replanned", "Gain of removing the threat in the cell; the team replans.", known, COVERED,
+        CellLayer(f"{won}, replanned", "Gain of removing the threat in the cell; the team replans.", known, "covered",
                   short="Replanned"),
-        CellLayer(f"{won}, old plan", "Gain of removing the threat; the team keeps its plan.", unknown, COVERED,
+        CellLayer(f"{won}, old plan", "Gain of removing the threat; the team keeps its plan.", unknown, "covered",
                   short="Old plan"),
-        CellLayer("Marginal risk", paid, np.maximum(clearing.risk_paid, 0.0), LOSSES, root=True, blocks="sum",
+        CellLayer("Marginal risk", paid, np.maximum(clearing.risk_paid, 0.0), "losses", root=True, blocks="sum",
                   short="Risk"),
     ]  # fmt: skip
     ranked = [one.threat for one in _ranked(clearing)] if only == 0 else []
@@ -487,17 +482,15 @@ def _attack_key_figures(attack: Attack) -> list[KeyFigure]:
 
 def _attack_maps(attack: Attack, only: int | None = None) -> CellMaps:
     """Maps of the cost of one threat in each cell, in both cases; `only`: one map, the worst positions outlined."""
-    from analysis.page.maps import CellLayer
-    from analysis.pictures import LOSSES
-
     options, shape = attack.turn.options, attack.world.shape
     lost = "Value lost" if attack.world.value is not None else "Cells lost"
     known = np.maximum(by_cell(options, shape, lambda one: one.known), 0.0)
     hidden = np.maximum(by_cell(options, shape, lambda one: one.unknown), 0.0)
     layers = [
         CellLayer(f"{lost}, {KNOWN}", f"By one threat of {chance(attack.p)} in the cell; the team replans.", known,
-                  LOSSES, short="Known"),
-        CellLayer(f"{lost}, {HIDDEN}", "By the same threat; the team keeps its plan.", hidden, LOSSES, short="Hidden"),
+                  "losses", short="Known"),
+        CellLayer(f"{lost}, {HIDDEN}", "By the same threat; the team keeps its plan.", hidden, "losses",
+                  short="Hidden"),
     ]  # fmt: skip
     placed = (attack.known, attack.hidden)[only or 0].threats
     parts = [] if only is None else [(threat.name.removeprefix("cell "), threat.cells, True) for threat in placed]

@@ -8,7 +8,7 @@ from math import ceil
 
 from rich.table import Table
 
-from analysis.page.document import Chart, Series
+from analysis.page.elements import Chart, Series
 from analysis.report.answer import (
     asked,
     json_end,
@@ -172,7 +172,7 @@ def _size_chart(size: TeamSize) -> Chart:
     enough = () if size.robots is None else ((size.robots, f"enough: {size.robots}"),)
     return Chart(
         _title(size), tuple(curves), "robots", f"{goal.meaning}, and chance of {_target(size)}, %",
-        unit="%", digits=2, y_range=(0, 100), at_x=enough, at_y=((100 * goal.wanted, wanted),),
+        unit="%", y_range=(0, 100), at_x=enough, at_y=((100 * goal.wanted, wanted),),
     )  # fmt: skip
 
 
@@ -478,14 +478,11 @@ def _front_chart(front: Front, which: str) -> Chart:
         x_name="robots lost on average" if robots else f"steps on average{front.world.pace.each}",
         y_name="visited, % of the accessible cells",
         unit="%",
-        digits=2,
-        x_digits=2 if robots else 0,
-        x_whole=not robots,
         y_range=(0, 100),
         fit=True,
         at_x=limit,
         at_y=() if goal.target is None else ((100 * goal.target, f"{chance(goal.target, 12)} target"),),
-        note="Farther up and to the left is better. Click a name to hide a curve.",
+        note="Farther up and to the left is better.",
     )
 
 

@@ -33,7 +33,8 @@ from tornado.web import Application, HTTPError, RequestHandler
 from analysis.estimators.racing import with_eyes
 from analysis.estimators.trial import Measured, alike, closed_truth
 from analysis.page.document import TEMPLATES, Html, asset, page_head, policy, whole_script
-from analysis.page.maps import STEPS, CellLayer, packed_layer, path_lines, thickness
+from analysis.page.elements import CellLayer
+from analysis.page.maps import STEPS, packed_layer, path_lines, thickness
 from analysis.pictures import COVERED, FOG, LOSSES, OBSTACLE, SAFE, SHADES, THREAT, UNREACHABLE
 from analysis.sampling import RolloutChoices, make_roll_out
 from analysis.statistics.estimates import Estimate, losses_shown, lost_text

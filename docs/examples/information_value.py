@@ -11,7 +11,7 @@ from typing import Any, get_args
 from by_map import MAP_FIGURES, ByMap, Columns
 from rich.table import Table
 
-from analysis.page.document import Chart, Series
+from analysis.page.elements import Chart, Series
 from analysis.report.answer import json_end
 from analysis.report.model import Part, Report
 from analysis.statistics.estimates import Estimate, over_maps

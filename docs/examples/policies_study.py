@@ -14,7 +14,7 @@ from by_map import MAP_FIGURES, ByMap, Columns
 from numpy.typing import NDArray
 from rich.table import Table
 
-from analysis.page.document import Chart, Series
+from analysis.page.elements import Chart, Series
 from analysis.report.answer import json_end
 from analysis.report.model import Part, Report
 from analysis.statistics.estimates import Estimate, over_maps
@@ -279,7 +279,7 @@ def _front(study: Study, robots: int, kind: Kind) -> Chart:
         seen = [100 * study.estimate(setting, "visited").mean for setting in settings]
         series.append(Series(name, lost[::-1], seen[::-1], dashed=name != "per_cell with a worth"))
     title = f"Coverage against losses, {counted(robots, 'robot')}, {kind}"
-    return Chart(title, tuple(series), "robots lost", "covered", unit="%", y_range=(0.0, 100.0), x_digits=1)
+    return Chart(title, tuple(series), "robots lost", "covered", unit="%", y_range=(0.0, 100.0))
 
 
 def headline(study: Study) -> str:

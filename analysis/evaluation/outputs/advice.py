@@ -16,7 +16,7 @@ import numpy as np
 
 from analysis.comparison import Side, compare
 from analysis.evaluation.figures import Blocks, Output, Run
-from analysis.page.document import Chart, Series
+from analysis.page.elements import Chart, Series
 from analysis.search.pareto import Figures, Goal, Point, Setting, efficient, knee, quick_points, settings_of
 from analysis.statistics.estimates import Estimate, exactly, losses_sentence
 from analysis.statistics.variance_reduction import tally_mean
@@ -161,7 +161,7 @@ class Advice(Output):
         mark = Series.of(f"this plan ({setting})", [losses.mean], [coverage], kind="points", colour=3)
         return Chart(
             "Coverage and losses", (curve, mark), "robots lost on average", "visited, % of the accessible cells",
-            unit="%", x_digits=2, x_whole=False, y_range=(0, 100), fit=True,
+            unit="%", y_range=(0, 100), fit=True,
             note="Farther up and to the left is better.",
         )  # fmt: skip
 

@@ -12,7 +12,7 @@ from functools import cached_property
 from importlib.util import find_spec
 from itertools import pairwise
 from math import inf, isinf
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from analysis.estimators.racing import only, sample_with_known_hazards, sample_with_known_maps, with_eyes
 from analysis.estimators.trial import Measured, Sampled, Trial, alike
 from analysis.evaluation.figures import Blocks, Output, Run
-from analysis.page.document import Chart, Series
+from analysis.page.elements import CellLayer, Chart, Series
 from analysis.statistics.estimates import Estimate, difference_text
 from analysis.utils.tables import make_table
 from planner.arguments import argument, numbers_of
@@ -34,9 +34,6 @@ from planner.world.features import seeing, with_sense
 from planner.world.map_knowledge import RANGE, Sense, chance_of
 from planner.world.uncertain_maps import Hazard, Uncertain
 from planner.world.world import World
-
-if TYPE_CHECKING:  # it takes matplotlib
-    from analysis.page.maps import CellLayer
 
 MOST_RANGES = 20
 LEAST = 1024
@@ -229,7 +226,7 @@ class Knowledge(Output):
         seen = Series.of("by sensor range", [team.range for team in near], [team.coverage for team in near])
         return Chart(
             "Coverage by sensor range", (seen,), "sensor range, cells", "visited, % of the cells",
-            unit="%", at_y=((100 * self.known_map.coverage.mean, "known map"),), x_whole=False, x_digits=1,
+            unit="%", at_y=((100 * self.known_map.coverage.mean, "known map"),),
         )  # fmt: skip
 
 
@@ -398,30 +395,14 @@ class Experience(Output):
         return Blocks(leads=leads, tables=[table], notes=notes, layers=layers, files=files)
 
     def _posterior(self) -> CellLayer:
-        from analysis.page.maps import CellLayer
-        from analysis.pictures import LOSSES
-
         about = f"The team's probability of a hazard in the cell at the end of a run; mean of {self.ends:,} runs."
         values = np.nan_to_num(self.posterior)
-        return CellLayer("Posterior of hazards", about, values, LOSSES, "%", root=True, digits=2, short="Posterior")
+        return CellLayer("Posterior of hazards", about, values, "losses", "%", root=True, digits=2, short="Posterior")
 
     def _entropy(self) -> CellLayer:
-        from matplotlib.colors import Normalize
-
-        from analysis.page.maps import CellLayer
-        from analysis.pictures import COVERED
-
         about = f"Bits: 1 for a probability of one half, 0 for certainty. Mean of {self.ends:,} runs."
-        scale = Normalize(0, 1)
-        return CellLayer(
-            "Uncertainty about hazards",
-            about,
-            np.nan_to_num(self.entropy),
-            COVERED,
-            norm=scale,
-            labels=(0, 0.5, 1),
-            short="Uncertainty",
-        )
+        return CellLayer("Uncertainty about hazards", about, np.nan_to_num(self.entropy), "covered", top=1.0,
+                         labels=(0, 0.5, 1), short="Uncertainty")  # fmt: skip
 
 
 def entropy_of(chance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from analysis.estimators.trial import TreeTruth
 from analysis.evaluation.figures import Blocks, Figures, Output, Run, coverage_row, last_shown
-from analysis.page.document import Series
+from analysis.page.elements import Series
 from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.statistics.estimates import QUANTILES, Estimate, mean_of, robots_text
 from analysis.theory.verdicts import MEANINGS, longest_run

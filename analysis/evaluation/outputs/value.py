@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from rich.table import Table
 
 from analysis.estimators.trial import TreeTruth, mean_value, stated, units_of
 from analysis.evaluation.figures import Blocks, Output, Run
+from analysis.page.elements import CellLayer
 from analysis.sampling import make_engine_for
 from analysis.statistics.estimates import TAIL, Estimate, at_least, exactly, in_unit, robots_left, tail_mean, times_to
 from analysis.statistics.variance_reduction import LEAST, CommonThresholds, tally_mean
@@ -35,9 +36,6 @@ from planner.rollouts.threshold_classes import classes_by_threshold
 from planner.simulator.state import MOST_PASSES
 from planner.tally import Tally
 from planner.world.world import World
-
-if TYPE_CHECKING:
-    from analysis.page.maps import CellLayer
 
 # Value covered, found and left, and the measures of every field (SPEC section 13).
 
@@ -280,12 +278,9 @@ class Value(ValueFigures, Output):
 
     def layer(self) -> CellLayer:
         """The expected value left in each cell."""
-        from analysis.page.maps import CellLayer
-        from analysis.pictures import LOSSES
-
         about = f"Value times the probability that it is not found. {self.left.mean:.4g} of {self.worth.total:.4g}."
         left = self.left_by_cell.reshape(self.world.shape)
-        return CellLayer("Value left", about, left, LOSSES, root=True, blocks="sum", short="Left")
+        return CellLayer("Value left", about, left, "losses", root=True, blocks="sum", short="Left")
 
 
 def _left(tree: Tree) -> tuple[Estimate, list[Estimate]]:

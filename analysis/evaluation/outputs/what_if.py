@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from analysis.estimators.trial import Sampled, Trial
 from analysis.evaluation.figures import Blocks, Figures, Output, Run
-from analysis.page.document import Chart, Series
+from analysis.page.elements import Chart, Series
 from analysis.sampling import make_engine_for, make_roll_out
 from analysis.statistics.estimates import QUANTILES, Estimate
 from analysis.statistics.variance_reduction import Components, known_between, of_means, of_values
