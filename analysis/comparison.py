@@ -18,7 +18,7 @@ from analysis.estimators.trial import closed_truth
 from analysis.report.answer import Answer, json_end
 from analysis.report.model import KeyFigure, Part, Report
 from analysis.sampling import RolloutChoices, check_deadline, home_of, knowing_deadline, make_singles
-from analysis.statistics.estimates import Estimate, between, exactly, looks, lost_text, of_all, proportion
+from analysis.statistics.estimates import Estimate, between, exactly, looks, of_all, proportion, robots_text
 from analysis.statistics.variance_reduction import LEAST, CommonThresholds, Difference, Paired, controlled, difference
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import longest_run
@@ -404,7 +404,7 @@ def _notes(answer: Comparison) -> list[str]:
     for name, side in zip("AB", answer.sides, strict=True):
         if side.comes_home and "home" not in answer.figures:
             mean, every = (answer.mean(side, figure) for figure in OF_HOME)
-            said = f"{name}'s robots return to base, {lost_text(mean, len(side.plan.robots))}"
+            said = f"{name}'s robots return to base, {robots_text(mean, len(side.plan.robots))}"
             found.append(f"{said}, all of them in {percent(every)} of runs; the other side's need not")
     if vague := [SHOWN[figure][0] for figure in answer.figures if _is_vague(answer, figure)]:
         found.append(f"too few rollouts to compare {', '.join(vague)}: the intervals are wider than the figures")

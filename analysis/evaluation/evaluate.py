@@ -304,6 +304,11 @@ class Evaluation(Answer):
         return {figure: one for figure, one in found.items() if one is not None and not self.certain}
 
     @property
+    def has_danger(self) -> bool:
+        """Whether the plan meets any danger: if not, all runs are nominal in both loops."""
+        return float(self.closed_form.stops_by_cell.sum()) > 0  # a sum, because any probability above 0 counts
+
+    @property
     def losses(self) -> Losses:
         """Robots lost in a run; the mean is exact if that is known."""
         return self.shown.losses

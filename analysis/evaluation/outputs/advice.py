@@ -182,10 +182,7 @@ class Advice(Output):
         yield f"{said}."
 
     def _lost(self, losses: Estimate) -> str:
-        if losses.mean == 0:
-            return "no robot" if losses.ci95[1] == 0 else f"no robot in {self.rollouts:,} runs"
-        said = losses_sentence(losses, self.robots, mean_only=True)
-        return f"{said} on average" if said[0].isdigit() else said
+        return f"{losses_sentence(losses, self.robots, mean_only=True)} on average"
 
 
 def _covered(coverage: Estimate) -> str:

@@ -209,11 +209,10 @@ class Deadline(Output):
         found, cells = self.figures, self.tally.accessible
         mean, known = found.visited.mean.mean / cells, found.visited.mean.half_width == 0
         reached = percent(mean, 2) + " (exact)" if known else percent(mean)
-        lost = robots_text(found.losses.mean, self.tally.robots, found.losses.decimals) + " lost"
-        lost += " on average" * (found.losses.mean > 0)
+        lost = robots_text(found.losses.mean, self.tally.robots, found.losses.decimals)
         by = f"by step {self.steps}{self.pace.also(self.steps)}"
         return Blocks(
-            opens=[f"By {self.pace.step(self.steps)}: {reached} visited, {lost}."],
+            opens=[f"By {self.pace.step(self.steps)}: {reached} visited, {lost} lost on average."],
             rows=[
                 coverage_row(f"{meaning} {by}", getattr(found, meaning), cells, exact)
                 for meaning, exact in zip(MEANINGS, self.exact, strict=True)
