@@ -84,6 +84,16 @@ def as_json(value: Any) -> Any:
     return None if isinstance(value, float) and not isfinite(value) else value
 
 
+def pick(value: Any, names: str) -> Json:
+    """Fields of an object by name, for its JSON object; `names`: separated by spaces."""
+    return {name: getattr(value, name) for name in names.split()}
+
+
+def value_json(value: Any) -> Json:
+    """The key `value` of a JSON object, if the map has values."""
+    return {} if value.value is None else {"value": value.value}
+
+
 def json_of(report: Report) -> Any:
     """The JSON object of a report, times in minutes too where a step has a length."""
     said = {"format": FORMAT} | with_minutes(as_json(report.json()), report.pace)
