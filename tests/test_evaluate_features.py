@@ -332,8 +332,8 @@ def test_words_and_page(answer: Evaluation, tmp_path: Path) -> None:
     page, text = (tmp_path / "index.html").read_text(), (tmp_path / "evaluation.txt").read_text()
     page = check_page_is_sound(page).text
     for words in (
-        "not knowing it costs",
-        "the sensor gains",
+        "With a known map: ",
+        "Without a sensor: ",
         "known map",
         "robots see 2 cells far",
         "Gain by sensor range",
@@ -433,7 +433,7 @@ def test_others_have_no_such_figure():
     world = SITE.with_latent_hazard("persistent", Q, 0.5, learn=True)
     answer = mrac.evaluate(world, 2, rollouts=10, loop="open", **QUIET_EXPERIENCE)
     assert "experience" not in answer.outputs
-    assert "learning gains" not in report(answer).headline
+    assert "learning" not in report(answer).headline
 
 
 # What is answered where threats move: evaluate, its page and JSON, recordings, and what refuses in words.

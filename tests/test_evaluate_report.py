@@ -38,7 +38,6 @@ from analysis.statistics.estimates import (
     QUANTILES,
     Estimate,
     between,
-    difference_text,
     digits_of,
     exactly,
     in_unit,
@@ -515,16 +514,6 @@ def test_cells_out_of_reach_are_counted() -> None:
     world = World.create([[0.0, 0.2, np.nan, 0.0, 0.0]])
     answer = mrac.evaluate(world, mrac.plan(world, starts=[[0, 0]]), rollouts=64, advice=False)
     assert "Out of reach of every robot: 2 free cells, counted only in 'of all free cells'." in cells_text(answer)
-
-
-def test_what_costs_less_than_nothing_is_said_the_other_way_round() -> None:
-    words = ("not knowing it costs", "robots that do not know it visit")
-    assert difference_text(exactly(0.041), *words) == "not knowing it costs 4.10 points (exact)"
-    assert difference_text(exactly(-0.0049), *words) == "robots that do not know it visit 0.49 points more (exact)"
-    less = difference_text(
-        Estimate(-0.02, 0.005, (-0.03, -0.01)), "the sensor gains", "robots with a sensor visit", "less"
-    )
-    assert less == "robots with a sensor visit 2 points less ± 1 (95 %)"
 
 
 # The terminal's answer: what comes first, what is folded away, and that it can be read at 80 columns.

@@ -560,8 +560,7 @@ def failing(survey: Survey) -> Chart:
         y_name="share of the worlds on which it fails, %",
         unit="%",
         y_range=(0, 100),
-        note="Of the worlds where the formula is defined, in the meaning and loop in which it fails most. Press a name "
-        "to hide a curve.",
+        note="Of the worlds where the formula is defined, in the meaning and loop in which it fails most.",
     )
 
 

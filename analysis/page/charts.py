@@ -55,8 +55,8 @@ PAGE_COLOURS = {INK: "var(--ink)", FAINT: "var(--faint)", GRID: "var(--line)", P
 
 
 def charts_figure(charts: Sequence[Chart]) -> Figure:
-    """The charts in one figure, two in a row; bars and bands are 95 % intervals unless a chart states otherwise."""
-    across = min(len(charts), 2)
+    """The charts in one figure, two or three in a row; bars and bands are 95 % intervals unless stated otherwise."""
+    across = min(len(charts), 2 if len(charts) <= 4 else 3)
     wide = (WIDTH - 0.75 * across - 0.2) / across
     below = 0.65 + ENTRY * max(len((*chart.series, *chart.at_x, *chart.at_y)) for chart in charts)
     rows = ceil(len(charts) / across)
@@ -118,7 +118,9 @@ def _finite(series: Series, place: int) -> Series:
     if low is not None and high is not None:
         ends = (np.asarray(end, dtype=np.float64).ravel()[known] for end in (low, high))
         low, high = (np.where(np.isfinite(end), end, y[known]) for end in ends)
-    colour = place % CURVE_COLOURS if series.colour is None else series.colour
+    colour = series.colour
+    if colour is None and series.kind != "points":
+        colour = place % CURVE_COLOURS
     return replace(series, name=visible(series.name), x=x[known], y=y[known], low=low, high=high, colour=colour)
 
 
@@ -151,7 +153,7 @@ def _draw(axes: Axes, chart: Chart) -> list[Series]:
 
 def _draw_series(axes: Axes, one: Series) -> None:
     x, y = np.asarray(one.x), np.asarray(one.y)
-    colour, few = PICK if one.kind == "points" else ROBOT_COLOURS[one.colour or 0], len(x) <= BARS_UP_TO
+    colour, few = PICK if one.colour is None else ROBOT_COLOURS[one.colour % CURVE_COLOURS], len(x) <= BARS_UP_TO
     line: dict[str, Any] = {"color": colour, "label": one.name, "clip_on": False}
     if one.kind == "bars":
         axes.bar(x, y, width=0.92 * float(np.diff(x).min() if len(x) > 1 else 1), color=colour, label=one.name)
@@ -160,7 +162,10 @@ def _draw_series(axes: Axes, one: Series) -> None:
         ends = partial(axes.vlines, linewidth=0.9) if few else partial(axes.fill_between, alpha=0.2, linewidth=0)
         ends(x, one.low, one.high, color=colour)
     if one.kind == "points":
-        axes.plot(x, y, "D", markersize=4, **line)
+        look: dict[str, Any] = (
+            {"marker": "D", "markersize": 4} if few else {"marker": "o", "markersize": 2, "alpha": 0.45}
+        )
+        axes.plot(x, y, linestyle="", **look, **line)
         return
     marks: dict[str, Any] = {"marker": "o", "markersize": 3.2} if few else {}
     steps = "steps-post" if one.kind == "step" else "default"

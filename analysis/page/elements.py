@@ -26,7 +26,8 @@ class Series:
         name: in the legend. x, y: of its points; NaN is omitted.
         low, high: of the interval of each point, if there are any.
         kind: "line", "step" (holds each value to the next x), "points" (marks only) or "bars".
-        dashed: for reference curves. colour: index in the palette; None: the index of the series.
+        dashed: for reference curves. colour: index in the palette; None: the index of the series, for points the
+            colour of what stands out.
     """
 
     name: str

@@ -115,7 +115,7 @@ def _of(fraction: float) -> str:
 
 def _listed(numbers: Sequence[int]) -> str:
     """Integers in text: "7", "7, 8", "1 to 6, 9"."""
-    parts = []
+    parts = list[str]()
     for _, group in groupby(enumerate(numbers), lambda pair: pair[1] - pair[0]):
         run = [number for _, number in group]
         parts += [f"{run[0]} to {run[-1]}"] if len(run) > 2 else map(str, run)

@@ -476,13 +476,6 @@ TARGETS = Numbers(0, 1, "a fraction of the accessible cells", above=True)
 """Valid targets of coverage."""
 
 
-def difference_text(more: Estimate, costs: str, instead: str, other: str = "more") -> str:
-    """ "not knowing it costs 4.1 points ± 0.2 (95 %)"; below 0: "robots that do not know it visit 0.5 points more"."""
-    if more.mean >= 0:
-        return f"{costs} {more.describe(100, ' points')}"
-    return f"{instead} {more.negated.describe(100, f' points {other}')}"
-
-
 def losses_sentence(losses: Estimate, robots: int, *, mean_only: bool = False) -> str:
     """`losses_shown` in a sentence: "0.67 ± 0.01 (95 %) robots".
 
