@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.estimators.trial import closed_truth
-from analysis.report.answer import Answer, json_end
-from analysis.report.model import KeyFigure, Part, Report
+from analysis.report.model import KeyFigure, Report, Section
+from analysis.report.result import Result, json_end
 from analysis.sampling import RolloutChoices, check_deadline, home_of, knowing_deadline, make_singles
 from analysis.statistics.estimates import Estimate, between, exactly, looks, of_all, proportion, robots_text
 from analysis.statistics.variance_reduction import LEAST, CommonThresholds, Difference, Paired, controlled, difference
@@ -75,7 +75,7 @@ class Side:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Comparison(Answer):
+class Comparison(Result):
     """The result of a comparison: sums of both sides over the same rollouts.
 
     Attributes:
@@ -351,7 +351,7 @@ def report(answer: Comparison) -> Report:
         headline(answer), lambda: _json(answer), figures=_key_figures(answer),
         heading=(f"A: {_description(a)}", f"B: {_description(b)}", *[certain] * answer.certain,
                  f"{counted(answer.rollouts, 'rollout')} on common random numbers, seed {a.choices.seed}"),
-        took=[f"{rate:,.0f} rollouts a second of both"], parts=[Part("Figures", [_table(answer)], [TABLE_NOTE])],
+        took=[f"{rate:,.0f} rollouts a second of both"], parts=[Section("Figures", [_table(answer)], [TABLE_NOTE])],
         notes=_notes(answer), warnings=["Interrupted: the rollouts done so far are shown."] * answer.partial,
         pace=_pace(answer),
     )  # fmt: skip

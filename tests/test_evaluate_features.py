@@ -30,8 +30,8 @@ from analysis.pictures import picture_style
 from analysis.recording.pictures import RolloutPicture
 from analysis.recording.replay import replay
 from analysis.recording.viewers.topics import Stage
-from analysis.report.answer import print_report
 from analysis.report.rendering import figure_of, page_of
+from analysis.report.result import print_report
 from analysis.sampling import RolloutChoices
 from analysis.theory.verdicts import longest_run
 from planner.errors import InputError, UsageError
@@ -136,7 +136,7 @@ def test_the_maps_means_scatter_as_the_maps_do() -> None:
     doubt = answer.outputs["map_variance"]
     assert doubt.means.std() == pytest.approx(doubt.parts.between.mean) == pytest.approx(truth[0], rel=0.05)
     assert abs(doubt.means.mean() - answer.tally.visited @ np.arange(7) / 6 / 20_000) < 0.005
-    assert "256 maps, 20,000 rollouts" in doubt.chart().title + doubt.blocks().notes[0]
+    assert "256 maps, 20,000 rollouts" in doubt.chart().title + doubt.elements().notes[0]
     few = mrac.evaluate(world, 1, **(QUIET | {"rollouts": 100})).outputs["map_variance"]
     assert few.behind == "64 maps drawn of 256, 1,024 rollouts"
     drawn = mrac.evaluate(doubtful("level")[0], 1, loop="open", **QUIET).outputs["map_variance"]

@@ -32,7 +32,7 @@ from analysis.evaluation.report import (
 from analysis.evaluation.report import report as evaluation_report
 from analysis.evaluation.tables import WORDS, answer_tables, formula_counts, formulas_text, over_time
 from analysis.page.charts import chart_html
-from analysis.report.answer import print_report
+from analysis.report.result import print_report
 from analysis.sampling import RolloutChoices, make_roll_out
 from analysis.statistics.estimates import (
     QUANTILES,
@@ -495,7 +495,7 @@ def test_what_was_cut_off_and_lost_agrees_with_its_number() -> None:
         (3, "0.30 of 1 robot lost on average."),
     ):
         answer = mrac.evaluate(world, 1, rollouts=64, deadline=step, advice=False, band=False, loop="open")
-        (line,) = (line for found in answer.blocks for line in found.opens)
+        (line,) = (line for found in answer.elements for line in found.opens)
         assert line.startswith(f"By step {step}: ") and line.endswith(said)
 
 
@@ -607,7 +607,7 @@ def test_notes_come_last_and_the_width_of_a_pipe_can_be_set(
     World.create(np.full((4, 6), 0.05), source="m").save(tmp_path / "m.npz")
     events: list[str] = []
     monkeypatch.setattr("analysis.cli.console.say", lambda lines: events.extend(lines))
-    monkeypatch.setattr("analysis.report.answer.print_report", lambda *_, **__: events.append("the answer"))
+    monkeypatch.setattr("analysis.report.result.print_report", lambda *_, **__: events.append("the answer"))
     words = ["evaluate", str(tmp_path / "m.npz"), "--robots", "25", "--rollouts", "64"]
     assert run(words) == 0
     assert events[0] == "the answer"

@@ -24,7 +24,7 @@ from analysis.estimators.trial import SLACK, _loop_of, tree_of
 from analysis.evaluation.evaluate import TO_LOOK_AT, evaluate
 from analysis.evaluation.report import completion_text, losses_text, report, to_json
 from analysis.evaluation.tables import distribution, histogram_bins
-from analysis.report.answer import print_report
+from analysis.report.result import print_report
 from analysis.sampling import RolloutChoices
 from analysis.utils.tables import as_text
 from planner.errors import UsageError

@@ -45,10 +45,10 @@ from analysis.page.elements import CellLayer, Chart, Run, Series
 from analysis.page.maps import NOT_FREE, OUT_OF_REACH, STEPS, cell_maps_html, pack, packed_runs
 from analysis.pictures import COVERED, picture_style
 from analysis.recording.frames import make_frames
-from analysis.report.answer import save_report
-from analysis.report.model import KeyFigure, Part, Report
+from analysis.report.model import KeyFigure, Report, Section
 from analysis.report.rendering import figure_of, page_of
 from analysis.report.rendering import page_of as page_of_report
+from analysis.report.result import save_report
 from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.theory.verdicts import FORMULAS
 from planner.make_plan import make_plan
@@ -119,7 +119,7 @@ def test_a_page_of_hostile_words_is_sound() -> None:
         table = Table(*HOSTILE, title=HOSTILE[0])
         table.add_row(*HOSTILE)
         settings = dict(zip(HOSTILE, HOSTILE, strict=True))
-        parts = [Part(HOSTILE[0], drawn=lambda: [chart]), Part("Tables", [table], HOSTILE, lead=HOSTILE[0])]
+        parts = [Section(HOSTILE[0], figures=lambda: [chart]), Section("Tables", [table], HOSTILE, intro=HOSTILE[0])]
         said = Report(HOSTILE[0], HOSTILE[0], HOSTILE[0], HOSTILE[2], dict, HOSTILE, [KeyFigure(*HOSTILE[:3])],
                       parts=parts, notes=HOSTILE, warnings=HOSTILE, settings=settings, heading=HOSTILE)  # fmt: skip
         return page_of(said, HOSTILE[0], dict.fromkeys(HOSTILE, PNG), HOSTILE)
@@ -140,7 +140,9 @@ def test_an_axis_of_words_has_words() -> None:
 
 
 def test_sections_without_anything_are_left_out() -> None:
-    page = page_of(Report("n", "k", "T", "A.", dict, parts=[Part("One", notes=["x"]), Part("Two")]), "mrac-jax", {}, ())
+    page = page_of(
+        Report("n", "k", "T", "A.", dict, parts=[Section("One", notes=["x"]), Section("Two")]), "mrac-jax", {}, ()
+    )
     headings = [heading for _, heading in check_page_is_sound(page).headings]
     assert headings == ["T", "One", "How to reproduce"]
 

@@ -42,8 +42,8 @@ from analysis.pictures import (
     png_of,
     ranges,
 )
-from analysis.report.answer import save_report
 from analysis.report.rendering import figure_of
+from analysis.report.result import save_report
 from analysis.sampling import RolloutChoices
 from planner.formatting import percent
 from planner.make_plan import make_plan

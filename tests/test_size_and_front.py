@@ -30,8 +30,8 @@ from analysis.evaluation import evaluate as answer
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.advice import Advice
 from analysis.evaluation.outputs.what_if import ThreatScale
-from analysis.report.answer import print_report
 from analysis.report.rendering import page_of
+from analysis.report.result import print_report
 from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.search import pareto as search
 from analysis.search.pareto import (
@@ -872,7 +872,7 @@ def test_evaluate_says_what_costs_no_robot_and_what_the_rest_costs(
     line = f"`--policy per_cell --robot-value {advice['robot_value']:g}`"
     assert line in " ".join(shown.split()) and shown.index("--robot-value") > shown.index("Coverage, %")
     told = mrac.evaluate(world, rollouts=8192, band=False)
-    (lead,) = told.outputs["advice"].blocks().alternatives
+    (lead,) = told.outputs["advice"].elements().alternatives
     assert re.match(r"To cover [\d.]+ % and lose .*: `policy='per_cell', robot_value=\d+`[;.]", lead)
     assert lead in str(told).splitlines() and str(told).index(lead) < str(told).index("visited on average")
     assert escape(lead) in told._repr_html_()
@@ -940,13 +940,13 @@ def test_a_setting_that_covers_more_for_no_more_robots_is_advised() -> None:
     point = Point(cheap, exactly(0.9), exactly(0.1), exactly(20.0), None, 0.9, 0.1)
     found = Advice((now, exactly(0.8), exactly(0.2)), 5, (point,), 64, point, exactly(0.1))
     assert not found.saves(point) and found.better() is point
-    (said,) = found.blocks().alternatives
+    (said,) = found.elements().alternatives
     assert said == (
         "To cover 90.0 % (10.00 points more) without losing more robots: `policy='per_cell', robot_value=40`."
     )
     assert Advice((now, exactly(0.95), exactly(0.2)), 5, (point,), 64).better() is None
     costly = Advice((now, exactly(0.95), exactly(5.0)), 5, (point,), 64, point, exactly(-0.05))
-    assert list(costly.blocks().alternatives) == [
+    assert list(costly.elements().alternatives) == [
         "To cover 90.0 % and lose 0.10 robots on average: `policy='per_cell', robot_value=40`."
     ]
 
@@ -965,13 +965,13 @@ def test_what_hardly_covers_anything_is_not_advised_because_it_is_free() -> None
     assert Advice(now, 3, straight, 64).better() is None, "every cell costs about as much"
     best = priced(None, 0.7, 3.0)
     whole = replace(found, points=(*points, best), advised=points[1], difference=exactly(-0.1))
-    (said,) = whole.blocks().alternatives
+    (said,) = whole.elements().alternatives
     assert said == (
         "To cover 50.0 % and lose 1.00 robots on average: `policy='per_cell', robot_value=20`; "
         "to cover 70.0 % with the same losses: `policy='per_cell'`."
     )
     fewer = replace(best, losses=exactly(2.5))
-    (said,) = replace(whole, points=(*points, fewer)).blocks().alternatives
+    (said,) = replace(whole, points=(*points, fewer)).elements().alternatives
     assert said.endswith("; to cover 70.0 % and lose 2.50 robots on average: `policy='per_cell'`.")
 
 

@@ -35,7 +35,7 @@ from analysis.checking.report import check_report
 from analysis.cli.app import run
 from analysis.evaluation.report import remainder_text
 from analysis.evaluation.report import report as evaluation_report
-from analysis.report.answer import print_report
+from analysis.report.result import print_report
 from analysis.theory import flow_programme as single
 from analysis.theory.bounds import (
     CorrectedTheorem3,

@@ -20,8 +20,8 @@ from analysis.checking.check import (
     survey_world,
 )
 from analysis.page.elements import Chart
-from analysis.report.answer import asked, json_end, map_text
-from analysis.report.model import CellMaps, KeyFigure, Part, Report
+from analysis.report.model import CellMaps, KeyFigure, Report, Section
+from analysis.report.result import asked, json_end, map_text
 from analysis.statistics.estimates import ALPHA, between
 from analysis.theory.verdicts import FORMULAS, Check, Direction, Truth, Verdict, badness, overall
 from analysis.utils.tables import Column, csv_text, make_table, table_of
@@ -54,9 +54,9 @@ def check_report(checked: MapCheck) -> Report:
         lambda: {"answer": said} | check_json(checked),
         findings=_check_findings(checked), figures=_check_key_figures(checked), heading=_check_heading(checked),
         parts=(
-            Part("Every formula", [_check_table(checked)], _check_footnotes(checked)),
-            Part("Cell by cell", drawn=lambda: [_maps(checked)],
-                 lead="The open loop, exact: the subject of the formulas."),
+            Section("Every formula", [_check_table(checked)], _check_footnotes(checked)),
+            Section("Cell by cell", figures=lambda: [_maps(checked)],
+                 intro="The open loop, exact: the subject of the formulas."),
         ),
         warnings=_warnings(checked), settings=_settings(checked), pictures={"check.png": lambda: _picture(checked)},
         faults=checked.faults,
@@ -267,9 +267,9 @@ def survey_report(survey: Survey) -> Report:
         lambda: _json(survey, said),
         findings=_survey_findings(survey), figures=_survey_key_figures(survey), heading=_survey_heading(survey),
         parts=(
-            Part("By size of the team", drawn=lambda: _charts(survey)),
-            Part("Every formula", [_survey_table(survey, *one) for one in TABLES.items()], _survey_footnotes(survey),
-            unfolded=True),
+            Section("By size of the team", figures=lambda: _charts(survey)),
+            Section("Every formula", [_survey_table(survey, *one) for one in TABLES.items()],
+                    _survey_footnotes(survey)),
         ),
         warnings=(f"Interrupted after {counted(survey.worlds, 'world')}.",) if survey.partial else (),
         settings=survey.choices.settings.described(), took=[f"{survey.seconds:.0f} s"],

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from analysis.estimators.trial import TreeTruth, closed_truth
 from analysis.evaluation.figures import (
-    Blocks,
     Coverage,
+    Elements,
     Expected,
     Figures,
     Known,
@@ -33,7 +33,7 @@ from analysis.evaluation.outputs.over_time import Band, Deadline, Turning
 from analysis.evaluation.outputs.value import Value
 from analysis.evaluation.outputs.what_if import EqualRobots, MapVariance, ThreatScale, alike
 from analysis.page.elements import Run as DrawnRun
-from analysis.report.answer import Answer
+from analysis.report.result import Result
 from analysis.sampling import (
     RolloutChoices,
     Stage,
@@ -81,7 +81,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Evaluation(Answer):
+class Evaluation(Result):
     """The result of the evaluation of one plan.
 
     Attributes:
@@ -124,9 +124,9 @@ class Evaluation(Answer):
         return whole
 
     @cached_property
-    def blocks(self) -> list[Blocks]:
+    def elements(self) -> list[Elements]:
         """The report elements of the outputs, in order."""
-        return [found.blocks() for found in self.outputs.values()]
+        return [found.elements() for found in self.outputs.values()]
 
     @cached_property
     def cells(self) -> dict[str, int]:

@@ -530,7 +530,7 @@ class Row(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Blocks:
+class Elements:
     """The elements that an output adds to the report of an evaluation.
 
     Attributes:
@@ -578,9 +578,9 @@ class Output(ABC):
         """Its value in the JSON object; None: omitted."""
         return None
 
-    def blocks(self) -> Blocks:
+    def elements(self) -> Elements:
         """Its elements of the report."""
-        return Blocks()
+        return Elements()
 
 
 # Teams on common random numbers with the evaluated team: the same figures, table and sentence for all of them.

@@ -22,8 +22,8 @@ from analysis.evaluation.tables import (
     robots_table,
     worst_cells,
 )
-from analysis.report.answer import asked, json_end, team_figure
-from analysis.report.model import KeyFigure, Part, Pictured, Report
+from analysis.report.model import KeyFigure, Pictured, Report, Section
+from analysis.report.result import asked, json_end, team_figure
 from analysis.statistics.estimates import Estimate, between, in_unit, robots_text
 from analysis.theory.bounds import Theorem3
 from analysis.theory.exact import OpenLoopExact
@@ -359,7 +359,7 @@ def report(evaluation: Evaluation, theory: bool = False, bounds: bool = True) ->
         evaluation: the result. theory: show the formulas in full.
         bounds: False omits bounds and formulas, whose computation may take seconds.
     """
-    world, plan, certain, outputs = evaluation.world, evaluation.plan, evaluation.certain, evaluation.blocks
+    world, plan, certain, outputs = evaluation.world, evaluation.plan, evaluation.certain, evaluation.elements
     rest, looked_at = evaluation.rest, _looked_at(evaluation)
     notes = [INTERVALS] * (evaluation.visited.half_width > 0)
     notes += [QUANTILES_NOTE] * (_adds_quantile(evaluation) and not evaluation.shown.visited.known)
@@ -378,14 +378,15 @@ def report(evaluation: Evaluation, theory: bool = False, bounds: bool = True) ->
         figures=_key_figures(evaluation), picture=lambda: charts.plan_map(evaluation),
         below=lambda: [chart for found in outputs for chart in found.below],
         parts=[
-            Part("Chances and coverage", answer_tables(evaluation), list(filter(None, own))),
-            *([] if rest is None else [Part(rest.title, notes=list(remainder_text(evaluation, rest)),
-                                            drawn=lambda: [charts.rest_map(evaluation, rest)])]),
-            Part("Coverage over time", drawn=lambda: [over_time(evaluation)], lead=over_time_text(evaluation)),
-            Part("Single runs", drawn=lambda: distribution(evaluation), lead="How far one run may be from the mean."),
-            Part("Cell by cell", notes=() if certain else list(cells_text(evaluation)),
-                 drawn=lambda: [charts.maps(evaluation)], whole=worst_cells(evaluation)),
-            Part("Robots", [robots_table(evaluation)], aside=True),
+            Section("Chances and coverage", answer_tables(evaluation), list(filter(None, own))),
+            *([] if rest is None else [Section(rest.title, notes=list(remainder_text(evaluation, rest)),
+                                            figures=lambda: [charts.rest_map(evaluation, rest)])]),
+            Section("Coverage over time", figures=lambda: [over_time(evaluation)], intro=over_time_text(evaluation)),
+            Section("Single runs", figures=lambda: distribution(evaluation),
+                    intro="How far one run may be from the mean."),
+            Section("Cell by cell", notes=() if certain else list(cells_text(evaluation)),
+                 figures=lambda: [charts.maps(evaluation)], whole=worst_cells(evaluation)),
+            Section("Robots", [robots_table(evaluation)], page_only=True),
             *([formulas_part(evaluation, theory)] if bounds and (theory or not certain) else []),
         ],
         notes=evaluation.notes,
@@ -444,7 +445,7 @@ def _settings(evaluation: Evaluation) -> dict[str, object]:
     world, plan = evaluation.world, evaluation.plan
     out: dict[str, object] = {"map's name": world.name, "map's SHA-256": f"{world.sha256[:16]}..."}
     out |= {} if plan.settings is None else plan.settings.described(world.pace)
-    for found in evaluation.blocks:
+    for found in evaluation.elements:
         out |= found.settings
     noted = {"how the map was read": world.notes, "how the plan was made": plan.notes}
     return out | {name: "; ".join(notes) for name, notes in noted.items() if notes}
@@ -478,7 +479,7 @@ def _pictures(evaluation: Evaluation, rest: Rest | None) -> Mapping[str, Callabl
         "distribution.png": lambda: distribution(evaluation, picture=True),
         "over_time.png": lambda: [over_time(evaluation)],
     }
-    for found in evaluation.blocks:
+    for found in evaluation.elements:
         for name, make in found.layers.items():
             out[name] = partial(charts.with_route, evaluation, make)
         out |= found.pictures

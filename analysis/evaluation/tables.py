@@ -13,7 +13,7 @@ from rich.table import Table
 from analysis.evaluation.evaluate import Evaluation
 from analysis.evaluation.figures import NAMES, TO_DO, Figures, Rest, Row, coverage_row, known_text
 from analysis.page.elements import CellLayer, Chart, Series
-from analysis.report.model import CellMaps, Part, Planned
+from analysis.report.model import CellMaps, Planned, Section
 from analysis.statistics.estimates import AT_LEAST, losses_shown, of_all
 from analysis.theory.bounds import Theorem3
 from analysis.theory.verdicts import FORMULAS, MEANINGS, Verdict
@@ -32,7 +32,7 @@ SAID_BY_COVERAGE = (Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST, Outcome.END_OF_PA
 
 def answer_tables(evaluation: Evaluation) -> list[Table]:
     """The tables of the figures: probabilities and time, coverage, and those of the outputs."""
-    more, tables = [row for found in evaluation.blocks for row in found.rows], list[Table]()
+    more, tables = [row for found in evaluation.elements for row in found.rows], list[Table]()
     if not evaluation.certain:
         sampled = "sampled" if _shown_figures(evaluation).visited.known is None else "chance"
         chances = list(_chance_rows(evaluation))
@@ -41,7 +41,7 @@ def answer_tables(evaluation: Evaluation) -> list[Table]:
         columns = ("mean", "95 % interval", "5 %", "median", "95 %")
         rows = [*_coverage_rows(evaluation), *more]
         tables.append(_table(evaluation, "Coverage, % of the accessible cells", columns, rows))
-    return [*tables, *(table for found in evaluation.blocks for table in found.tables)]
+    return [*tables, *(table for found in evaluation.elements for table in found.tables)]
 
 
 def _table(evaluation: Evaluation, title: str, columns: Sequence[str], rows: Sequence[Row]) -> Table:
@@ -145,15 +145,15 @@ WORDS = {
 }
 
 
-def formulas_part(evaluation: Evaluation, asked: bool) -> Part:
+def formulas_part(evaluation: Evaluation, asked: bool) -> Section:
     """The section on the formulas: collapsed on a page, and omitted on a terminal, unless `asked`."""
     title, said = "The paper's formulas", formulas_text(evaluation) + "."
     if not evaluation.settled:
-        return Part(title, notes=[said], aside=not asked)
+        return Section(title, notes=[said], page_only=not asked)
     if asked:
-        return Part(title, [formulas_table(evaluation)], [eq2_text(evaluation), *[said] * (not evaluation.certain)])
-    return Part(title, [formulas_table(evaluation)], [eq2_text(evaluation)], lead=said,
-                fold="Every formula, with its verdict", aside=True)  # fmt: skip
+        return Section(title, [formulas_table(evaluation)], [eq2_text(evaluation), *[said] * (not evaluation.certain)])
+    return Section(title, [formulas_table(evaluation)], [eq2_text(evaluation)], intro=said,
+                collapsed="Every formula, with its verdict", page_only=True)  # fmt: skip
 
 
 def formula_counts(evaluation: Evaluation) -> dict[Verdict, int]:
@@ -224,11 +224,11 @@ def over_time(evaluation: Evaluation) -> Chart:
     """Expected coverage by the end of each step, with the curves and marks of the outputs."""
     expected, cells, closed = evaluation.expected, evaluation.tally.accessible, evaluation.loop == "closed"
     makespan, exact = evaluation.plan.makespan, evaluation.closed_form
-    marks = [mark for found in evaluation.blocks for mark in found.marks]
+    marks = [mark for found in evaluation.elements for mark in found.marks]
     last = evaluation.last_shown
     # A mark far beyond the end would compress the curves, and is omitted.
     last = max([last, *(int(step) for step, _ in marks if step <= 2 * last)])
-    more = [_until(last, one) for found in evaluation.blocks for one in found.curves]
+    more = [_until(last, one) for found in evaluation.elements for one in found.curves]
     steps = np.asarray(more[0].x) if more else np.unique(np.linspace(0, last, STEPS).round().astype(np.int64))
 
     def curve(name: str, values: NDArray[np.float64], colour: int, dashed: bool = False) -> Series:
@@ -340,7 +340,7 @@ MOST_PHASES = 8
 def maps(evaluation: Evaluation) -> CellMaps:
     """Threat, probability of coverage, robots lost, residual risk, the outputs' layers, and the areas."""
     own = evaluation.layers
-    more = [make() for found in evaluation.blocks for make in found.layers.values()]
+    more = [make() for found in evaluation.elements for make in found.layers.values()]
     layers = [*threats(evaluation), own.chance, own.losses, own.left, *more, *own.areas]
     return CellMaps(evaluation.ground, evaluation.plan.starts, layers, anchor=CELLS)
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from pathlib import PurePath
-from typing import Any
+from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup as Html
@@ -44,16 +44,12 @@ LOOKS = {
 
 @dataclass(frozen=True)
 class TableData:
-    """A table: `columns` names, `rows` of as many cells, `words` the columns that hold words, not numbers.
-
-    unfolded: a long table is shown in full.
-    """
+    """A table: `columns` names, `rows` of as many cells, `words` the columns that hold words, not numbers."""
 
     title: str
     columns: tuple[str, ...]
     rows: Sequence[tuple[str, ...]]
     words: frozenset[int] = frozenset({0})
-    unfolded: bool = False
 
     @property
     def shown(self) -> Sequence[tuple[str, ...]]:
@@ -66,12 +62,12 @@ class TableData:
         return len(self.shown) > FOLDED_FROM
 
 
-def from_rich(table: Table, unfolded: bool = False) -> TableData:
+def from_rich(table: Table) -> TableData:
     """A table of the command line; right-aligned columns hold numbers."""
     columns = [[str(cell) for cell in column.cells] for column in table.columns]
     words = frozenset(place for place, column in enumerate(table.columns) if column.justify != "right")
     names = tuple(str(column.header) for column in table.columns)
-    return TableData(str(table.title or ""), names, tuple(zip(*columns, strict=True)), words, unfolded)
+    return TableData(str(table.title or ""), names, tuple(zip(*columns, strict=True)), words)
 
 
 def parted(text: str) -> tuple[str, str, str, str]:
@@ -145,17 +141,16 @@ COLOURS = 128
 """Colours of an embedded picture: sufficient for letters, and a third of the file's bytes."""
 
 
-@dataclass(frozen=True)
-class Section:
+class PageSection(NamedTuple):
     """A section of the page: its heading, its content, a line below the heading.
 
-    fold: label of the control that opens it; "" if it is always shown.
+    collapsed: label of the control that opens it; "" if it is always shown.
     """
 
     title: str
     body: Html
-    lead: str = ""
-    fold: str = ""
+    intro: str = ""
+    collapsed: str = ""
 
     @property
     def anchor(self) -> str:
@@ -163,7 +158,7 @@ class Section:
         return re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-") or "part"
 
 
-def document(sections: Sequence[Section], **values: object) -> str:
+def document(sections: Sequence[PageSection], **values: object) -> str:
     """The whole file, from `templates/page.html`. Equal content gives equal bytes."""
     script = whole_script()
     return TEMPLATES.get_template("page.html").render(
@@ -207,19 +202,19 @@ def known_version(library: str) -> str:
         return "not installed"
 
 
-def reproduce_section(command: str, names: Sequence[str], again: str) -> Section:
+def reproduce_section(command: str, names: Sequence[str], again: str) -> PageSection:
     """The command line that makes this folder again, the versions, and the other files."""
     versions = [f"mrac-jax {known_version('mrac-jax')}", f"Python {platform.python_version()}"]
     versions += [f"{library} {known_version(library)}" for library in LIBRARIES]
-    return Section("How to reproduce", block("reproduce", command, again, versions, names))
+    return PageSection("How to reproduce", block("reproduce", command, again, versions, names))
 
 
-def pictures_section(pictures: Mapping[str, bytes]) -> Section:
+def pictures_section(pictures: Mapping[str, bytes]) -> PageSection:
     """The pictures, PNG files by name, embedded with their descriptions; collapsed if there are many."""
     shown = [(PurePath(name).name, *described(png, PurePath(name).stem)) for name, png in pictures.items()]
-    fold = f"{len(shown)} pictures of this report" if len(shown) > UNFOLDED else ""
-    lead = "For slides and papers; the PNG files in the same folder have all colours."
-    return Section("Pictures", block("pictures", shown), lead, fold)
+    collapsed = f"{len(shown)} pictures of this report" if len(shown) > UNFOLDED else ""
+    intro = "For slides and papers; the PNG files in the same folder have all colours."
+    return PageSection("Pictures", block("pictures", shown), intro, collapsed)
 
 
 def described(png: bytes, name: str) -> tuple[str, Html]:

@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
 from analysis.page.charts import chart_html, charts_figure
-from analysis.page.document import Html, Section, block, document, from_rich, pictures_section, reproduce_section
+from analysis.page.document import Html, PageSection, block, document, from_rich, pictures_section, reproduce_section
 from analysis.page.elements import Chart
 from analysis.page.maps import cell_maps_html, plan_map_html, scale_of
 from analysis.pictures import (
@@ -32,7 +32,7 @@ from analysis.pictures import (
     terrain_handles,
     with_key,
 )
-from analysis.report.model import CellMaps, Part, Planned, Report
+from analysis.report.model import CellMaps, Planned, Report, Section
 
 # The page of a report.
 
@@ -54,9 +54,9 @@ def page_of(report: Report, command: str, pictures: Mapping[str, bytes], files: 
     findings = [] if shown is not None else [*said, *report.notes]
     words, notes = (said, notes) if shown is not None else ([], [])
     sections = (
-        Section("Findings", block("findings", findings)),
+        PageSection("Findings", block("findings", findings)),
         *map(_section, report.parts),
-        Section("Settings", block("settings", report.heading, report.settings)),
+        PageSection("Settings", block("settings", report.heading, report.settings)),
         pictures_section(pictures),
         reproduce_section(command, files, report.again),
     )
@@ -67,12 +67,11 @@ def page_of(report: Report, command: str, pictures: Mapping[str, bytes], files: 
     )  # fmt: skip
 
 
-def _section(part: Part) -> Section:
-    tables = [from_rich(table, part.unfolded and number == 0) for number, table in enumerate(part.whole or part.tables)]
-    shown = part.drawn()
+def _section(part: Section) -> PageSection:
+    shown, tables = part.figures(), [from_rich(table) for table in part.whole or part.tables]
     drawn = _charts([one for one in shown if isinstance(one, Chart)])
     drawn += Html("").join(_html(one) for one in shown if not isinstance(one, Chart))
-    return Section(part.title, block("part", drawn, tables, part.notes), part.lead, part.fold)
+    return PageSection(part.title, block("part", drawn, tables, part.notes), part.intro, part.collapsed)
 
 
 def _charts(charts: Sequence[Chart], heading: str = "h3") -> Html:

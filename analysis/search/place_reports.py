@@ -9,7 +9,8 @@ import yaml
 from rich.table import Table
 
 from analysis.page.elements import CellLayer
-from analysis.report.answer import (
+from analysis.report.model import CellMaps, KeyFigure, Report, Section
+from analysis.report.result import (
     asked,
     map_text,
     pick,
@@ -21,7 +22,6 @@ from analysis.report.answer import (
     team_figure,
     value_json,
 )
-from analysis.report.model import CellMaps, KeyFigure, Part, Report
 from analysis.search.start_positions import Place, Starts
 from analysis.search.threats import Attack, Clearing, Gain, Placed, Threat, ThreatCost, by_cell
 from analysis.statistics.estimates import between, losses_sentence, of_all
@@ -51,7 +51,7 @@ def starts_report(starts: Starts) -> Report:
             + seed_text(starts.world, choices, starts.engine, f"{counted(starts.rolled, 'rollout')}, "
                          f"{choices.rollouts:,} of the last two{share}; "),
         ),
-        picture=maps, parts=[Part("Places", [_starts_table(starts)], _starts_footnotes(starts))], notes=starts.notes,
+        picture=maps, parts=[Section("Places", [_starts_table(starts)], _starts_footnotes(starts))], notes=starts.notes,
         settings=starts.settings.described(starts.world.pace), pace=starts.world.pace, pictures={"starts.png": maps},
         files={"plan.json": lambda: json_text(starts.plan().to_json(), compact=True)},
     )  # fmt: skip
@@ -236,7 +236,7 @@ def clear_report(clearing: Clearing) -> Report:
             seed_text(clearing.world, choices, clearing.engine,
                        f"{counted(choices.rollouts, 'rollout')} of the last two, the same ids for all; "),
         ),
-        picture=lambda: _clear_maps(clearing), parts=[Part("Threats", [_clear_table(clearing)],
+        picture=lambda: _clear_maps(clearing), parts=[Section("Threats", [_clear_table(clearing)],
         _clear_footnotes(clearing))],
         notes=clearing.notes, settings=clearing.settings.described(clearing.world.pace), pace=clearing.world.pace,
         pictures={"clear.png": lambda: _clear_maps(clearing, 0), "risk_paid.png": lambda: _clear_maps(clearing, 2)},
@@ -400,7 +400,8 @@ def attack_report(attack: Attack) -> Report:
             seed_text(attack.world, choices, attack.engine,
                        f"{counted(choices.rollouts, 'rollout')} of the last two, the same ids for all; "),
         ),
-        picture=lambda: _attack_maps(attack), parts=[Part("Cells", [_attack_table(attack)], _attack_footnotes(attack))],
+        picture=lambda: _attack_maps(attack),
+        parts=[Section("Cells", [_attack_table(attack)], _attack_footnotes(attack))],
         notes=attack.notes, settings=attack.settings.described(attack.world.pace), pace=attack.world.pace,
         pictures={"attack.png": lambda: _attack_maps(attack, 0)}
         | ({"hidden.png": lambda: _attack_maps(attack, 1)} if hidden else {}),

@@ -9,7 +9,8 @@ from math import ceil
 from rich.table import Table
 
 from analysis.page.elements import Chart, Series
-from analysis.report.answer import (
+from analysis.report.model import KeyFigure, Report, Section
+from analysis.report.result import (
     asked,
     json_end,
     map_text,
@@ -22,7 +23,6 @@ from analysis.report.answer import (
     team_figure,
     value_json,
 )
-from analysis.report.model import KeyFigure, Part, Report
 from analysis.search.pareto import LANDMARKS, Front, Point, Setting, settings_of
 from analysis.search.team_size import TeamPoint, TeamSize, TeamVerdict
 from analysis.statistics.estimates import ALPHA, Estimate, between, losses_sentence, of_all
@@ -41,7 +41,7 @@ def size_report(size: TeamSize) -> Report:
         lambda: _size_json(size), figures=_size_key_figures(size),
         heading=(f"{map_text(world, size.cells)}, so the target is {size.needed} of them",
                  f"{size.choices.loop} loop, {seed_text(world, size.choices, size.engine)}"),
-        picture=lambda: chart, parts=[Part("Teams", [_table(size)], _footnotes(size))], notes=size.notes,
+        picture=lambda: chart, parts=[Section("Teams", [_table(size)], _footnotes(size))], notes=size.notes,
         settings=size.settings.described(world.pace), pace=world.pace, pictures={"size.png": lambda: [chart]},
     )  # fmt: skip
 
@@ -290,9 +290,9 @@ def front_report(front: Front) -> Report:
         ),
         picture=lambda: over_losses,
         parts=[
-            Part("Losses and settings", [_points(front) if front.goal else prices], [_footnote(front)],
+            Section("Losses and settings", [_points(front) if front.goal else prices], [_footnote(front)],
                  whole=[prices, _points(front, whole=True)]),
-            Part("Coverage and mission time", drawn=lambda: [over_time]),
+            Section("Coverage and mission time", figures=lambda: [over_time]),
         ],
         notes=front.notes,
         settings={name: value for name, value in settings.items() if name not in ("policy", "risk_cap", "robot_value")},

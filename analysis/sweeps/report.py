@@ -12,7 +12,7 @@ from rich.table import Table
 
 from analysis.page.elements import CURVE_COLOURS as COLOURS
 from analysis.page.elements import Chart, Series
-from analysis.report.model import Part, Report
+from analysis.report.model import Report, Section
 from analysis.statistics.estimates import Estimate
 from analysis.sweeps.cases import RULES, Label, format_label
 from analysis.sweeps.results import DIFFERENCES, EXACT, FIGURES, FRACTIONS, Results, Row
@@ -123,7 +123,7 @@ def notes_of(sweep: Sweep) -> list[str]:
     return notes
 
 
-def _rows_part(rows: Sequence[Row], charted: bool = False) -> Part:
+def _rows_part(rows: Sequence[Row], charted: bool = False) -> Section:
     """The table with its notes; `charted`: with curves on a page."""
     notes, counts = list[str](), {(row.maps, row.rollouts) for row in rows}
     if len(counts) == 1:
@@ -138,7 +138,7 @@ def _rows_part(rows: Sequence[Row], charted: bool = False) -> Part:
         notes.append(f"... and {len(rows) - SHOWN_ROWS:,} more: --csv and --json have all")
     whole = [rows_table(rows[:PAGE_ROWS])] if len(rows) > SHOWN_ROWS else []
     drawn = partial(_charts, rows, CHARTS) if charted and len(lines_of(rows)[2]) < len(rows) else tuple
-    return Part("Results", [rows_table(rows[:SHOWN_ROWS])], notes, drawn=drawn, whole=whole)
+    return Section("Results", [rows_table(rows[:SHOWN_ROWS])], notes, figures=drawn, whole=whole)
 
 
 def rows_table(rows: Sequence[Row]) -> Table:

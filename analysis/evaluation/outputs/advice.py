@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 
 from analysis.comparison import Side, compare
-from analysis.evaluation.figures import Blocks, Output, Run
+from analysis.evaluation.figures import Elements, Output, Run
 from analysis.page.elements import Chart, Series
 from analysis.search.pareto import Figures, Goal, Point, Setting, efficient, knee, quick_points, settings_of
 from analysis.statistics.estimates import Estimate, exactly, losses_sentence
@@ -139,16 +139,16 @@ class Advice(Output):
         chosen = front[self.points.index(self.advised)]
         return {**chosen, "difference": self.difference.to_json(), "rollouts": self.rollouts, "front": front}
 
-    def blocks(self) -> Blocks:
+    def elements(self) -> Elements:
         below = [self.chart()] if self.points else []
         if self.advised is None:
-            return Blocks(below=below)
+            return Elements(below=below)
         tried = counted(len(self.points), "other setting")
         note = (
             f"{_as_asked(self.advised.setting)} is the best of {tried} ({self.rollouts:,} rollouts "
             "each, common random numbers); `mrac-jax front` compares more."
         )
-        return Blocks(alternatives=list(self._sentences()), notes=[note], below=below)
+        return Elements(alternatives=list(self._sentences()), notes=[note], below=below)
 
     def chart(self) -> Chart:
         """The Pareto-optimal settings as a curve of coverage over losses, and the plan as a point."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from analysis.estimators.racing import only, sample_with_known_hazards, sample_with_known_maps, with_eyes
 from analysis.estimators.trial import Measured, Sampled, Trial, alike
-from analysis.evaluation.figures import Blocks, Output, Run, against, team_json, team_table
+from analysis.evaluation.figures import Elements, Output, Run, against, team_json, team_table
 from analysis.page.elements import CellLayer, Chart, Series
 from analysis.statistics.estimates import Estimate
 from analysis.utils.tables import Column
@@ -168,13 +168,13 @@ class Knowledge(Output):
             "rollouts": self.known_map.found.rollouts,
         }
 
-    def blocks(self) -> Blocks:
+    def elements(self) -> Elements:
         names = {_sees(team.range) if team is not self.known_map else "known map": team for team in self.teams}
         more = Column("known map: more", lambda name: "" if names[name] is self.known_map
                       else self.known_map.ahead(names[name]).describe(100, " points"))  # fmt: skip
         table = team_table("Value of map information", {name: team.found for name, team in names.items()}, more)
         pictures = {} if len(self.teams) < 4 else {"sense.png": lambda: [self.chart()]}
-        return Blocks(
+        return Elements(
             leads=list(self._leads()), tables=[table], notes=[f"value of map information: {self.behind}"],
             pictures=pictures, below=[self.chart()] if pictures else [],
             layers={"believed.png": lambda: self.believed}, settings={"knowledge": self.sense.description},
@@ -328,7 +328,7 @@ class Experience(Output):
     def _teams(self) -> dict[str, Measured]:
         return {"known hazards": self.known_hazards, "learning": self.learning, "no learning": self.no_learning}
 
-    def blocks(self) -> Blocks:
+    def elements(self) -> Elements:
         before, after = self.bits
         runs = counted(self.known_hazards.rollouts, "run")
         leads = [
@@ -349,7 +349,7 @@ class Experience(Output):
             files["posterior.tif"] = lambda: raster(self.world, BANDS, bands)
         layers = {"posterior.png": lambda: self._posterior(), "entropy.png": lambda: self._entropy()}
         table = team_table("Value of learning about hazards", self._teams)
-        return Blocks(leads=leads, tables=[table], notes=notes, layers=layers, files=files)
+        return Elements(leads=leads, tables=[table], notes=notes, layers=layers, files=files)
 
     def _posterior(self) -> CellLayer:
         about = f"The team's probability of a hazard in the cell at the end of a run; mean of {self.ends:,} runs."

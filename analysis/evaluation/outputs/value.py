@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.estimators.trial import TreeTruth, mean_value, stated, units_of
-from analysis.evaluation.figures import Blocks, Output, Run
+from analysis.evaluation.figures import Elements, Output, Run
 from analysis.page.elements import CellLayer
 from analysis.sampling import make_engine_for
 from analysis.statistics.estimates import TAIL, Estimate, at_least, exactly, in_unit, robots_left, tail_mean, times_to
@@ -266,12 +266,12 @@ class Value(ValueFigures, Output):
     def as_json(self) -> Json:
         return self.to_json()
 
-    def blocks(self) -> Blocks:
+    def elements(self) -> Elements:
         beyond = (
             f"visits beyond the {MOST_PASSES}th of a cell find at most {self.remainder:.3g}: the mean includes it, "
             "the lower end of the interval does not"
         )
-        return Blocks(
+        return Elements(
             leads=[_sentence(self)], tables=[value_table(self)], notes=[beyond] * (self.remainder > 0),
             layers={"left.png": self.layer},
         )  # fmt: skip

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from analysis.estimators.trial import Sampled, Trial
 from analysis.evaluation.figures import (
-    Blocks,
+    Elements,
     Figures,
     Output,
     Run,
@@ -154,7 +154,7 @@ class ThreatScale(Output):
     def as_json(self) -> list[Json]:
         return [scaled.as_json() for scaled in self.scaled]
 
-    def blocks(self) -> Blocks:
+    def elements(self) -> Elements:
         unit = 1.0 / self.scaled[0].tally.accessible
         columns = (
             Column("scale", lambda one: f"{one.scale:g}"),
@@ -165,7 +165,7 @@ class ThreatScale(Output):
             Column("time", lambda one: f"{one.shown.time.mean:.1f}"),
         )
         dropped = ("time", "every cell, %")
-        return Blocks(tables=[table_of(columns, self.scaled, "Results with scaled threats", dropped)])
+        return Elements(tables=[table_of(columns, self.scaled, "Results with scaled threats", dropped)])
 
 
 # The cost or gain of differences within a team: the same team with equal robots, on common random numbers.
@@ -233,11 +233,13 @@ class EqualRobots(Output):
             ],
         }
 
-    def blocks(self) -> Blocks:
+    def elements(self) -> Elements:
         teams = {"this team": self.team} | {other.description: other.found for other in self.others}
         leads = [against(other.description.capitalize(), other.found, self.team) for other in self.others]
         notes = [f"equal robots: {counted(self.team.rollouts, 'rollout')} of each team, common random numbers"]
-        return Blocks(leads=leads, tables=[team_table("Effect of the differences between robots", teams)], notes=notes)
+        return Elements(
+            leads=leads, tables=[team_table("Effect of the differences between robots", teams)], notes=notes
+        )
 
 
 # Components of the variance of coverage: between the possible maps, and between missions on one map.
@@ -321,7 +323,7 @@ class MapVariance(Output):
             "rollouts": self.rollouts,
         }
 
-    def blocks(self) -> Blocks:
+    def elements(self) -> Elements:
         columns = ("maps", "mean of means", "5 % of maps", "median", "95 % of maps", "sd between maps", "sd on one map")
         table = make_table(columns, "Mean coverage by map, % visited: deviation between maps and between runs on a map")
         means = (in_percent(value, 2) for value in (float(self.means.mean()), *self.quantiles.values()))
@@ -331,7 +333,7 @@ class MapVariance(Output):
             f"map uncertainty: {self.behind}; standard deviation between maps {_points(self.parts.between)}, "
             f"between runs on one map {_points(self.parts.within)} points"
         )
-        return Blocks(tables=[table], notes=[note], pictures={"map_variance.png": lambda: [self.chart()]})
+        return Elements(tables=[table], notes=[note], pictures={"map_variance.png": lambda: [self.chart()]})
 
     def chart(self) -> Chart:
         """Mean coverage over the share of maps with at most that coverage, with the deviation of single runs."""
