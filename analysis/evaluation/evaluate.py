@@ -128,6 +128,14 @@ class Evaluation(Result):
         """The report elements of the outputs, in order."""
         return [found.elements() for found in self.outputs.values()]
 
+    def added(self, name: str) -> list[Any]:
+        """What the outputs add to one list of the report: a field of `Elements`."""
+        return [one for found in self.elements for one in getattr(found, name)]
+
+    def added_files(self, name: str) -> dict[str, Any]:
+        """The same of a field that is by name, such as pictures by file name."""
+        return {key: value for found in self.elements for key, value in getattr(found, name).items()}
+
     @cached_property
     def cells(self) -> dict[str, int]:
         """Numbers of cells: total, free, accessible, and accessible with a threat above 0."""

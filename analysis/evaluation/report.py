@@ -23,7 +23,7 @@ from analysis.evaluation.tables import (
     worst_cells,
 )
 from analysis.report.model import KeyFigure, Pictured, Report, Section
-from analysis.report.result import asked, json_end, team_figure
+from analysis.report.result import asked, json_end, pick, team_figure
 from analysis.statistics.estimates import Estimate, between, in_unit, robots_text
 from analysis.theory.bounds import Theorem3
 from analysis.theory.exact import OpenLoopExact
@@ -36,7 +36,6 @@ from planner.plan.plan import Plan, drive_of
 from planner.rollouts.tables import STUCK_AFTER
 from planner.simulator.codes import Outcome
 from planner.tally import counts_by_word
-from planner.world.world import World
 
 # The sentences of an evaluation: coverage, losses, time, and the cells that stand out.
 
@@ -234,29 +233,25 @@ def remainder_text(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
 
 def to_json(evaluation: Evaluation) -> Json:
     """The JSON object of SPEC section 9; undefined values are None."""
-    tally, plan, known = evaluation.tally, evaluation.plan, evaluation.exact
-    cells, found = evaluation.cells, evaluation.figures
-    drive = drive_of(robot.path for robot in plan.robots)
-    lost = None if known.alive is None else tally.robots - known.alive
+    tally, plan, known, found = evaluation.tally, evaluation.plan, evaluation.exact, evaluation.figures
+    drive, world = drive_of(robot.path for robot in plan.robots), evaluation.world
     out: Json = {
-        "loop": evaluation.loop,
-        "engine": evaluation.engine,
+        **pick(evaluation, "loop engine"),
         "robots": len(plan.robots),
         "starts": plan.starts,
-        "cells": cells,
+        "cells": evaluation.cells,
         "policy": _policy_json(plan),
         "plan_for": plan.plan_for,
         "rollouts": tally.rollouts,
-        "seed": evaluation.seed,
-        "certain": evaluation.certain,
+        **pick(evaluation, "seed certain"),
         "coverage": found.coverage_json(),
-        "best": {figure: getattr(evaluation, figure) for figure in (*MEANINGS, "losses")},
-        "coverage_of_free_cells": {m: getattr(found, m).mean.mean / cells["free"] for m in MEANINGS},
+        "best": pick(evaluation, "visited survived losses"),
+        "coverage_of_free_cells": {m: getattr(found, m).mean.mean / evaluation.cells["free"] for m in MEANINGS},
         "time": found.time.to_json() | {"max": int(np.flatnonzero(tally.time).max())},
         "outcomes": counts_by_word(tally.outcomes, plan.ends_by_deadline),
         "complete": found.complete,
-        "alive": {"mean": found.alive.mean},
-        "losses": found.losses.to_json() | {"exact": lost},
+        "alive": pick(found.alive, "mean"),
+        "losses": found.losses.to_json() | {"exact": None if known.alive is None else tally.robots - known.alive},
         "some_left": evaluation.shown.some_left,
         "control": _control_json(evaluation),
         "bounds": _bounds_json(evaluation),
@@ -264,14 +259,13 @@ def to_json(evaluation: Evaluation) -> Json:
         "exact": {
             "open_loop": _open_json(evaluation.closed_form),
             "closed_loop": _closed_json(evaluation.closed),
-            "alive": known.alive,
-            "time": known.time,
+            **pick(known, "alive time"),
         },
         "plan": {
             "settings": plan.settings,
             "areas": len(plan.areas),
             "levels": len({area.level for area in plan.areas}),
-            **{name: getattr(plan, name) for name in ("makespan", "outcome", "shares")},
+            **pick(plan, "makespan outcome shares"),
             "moves": int(drive.moves.sum()),
             "quarter_turns": int(drive.turns.sum()),
         },
@@ -279,14 +273,11 @@ def to_json(evaluation: Evaluation) -> Json:
         "compile_seconds": evaluation.compile_seconds,
         "advice": None,
     }
-    if found.home is not None:
-        out["home"] = found.home
-    for name in ("movers", "phases"):
-        if (of := getattr(evaluation.world, name)) is not None:
-            out[name] = of.to_json()
-    said = {key: found.as_json() for key, found in evaluation.outputs.items()}
-    out |= {key: value for key, value in said.items() if value is not None}
-    return out | json_end(evaluation, evaluation.notes)
+    more: Json = {"home": found.home, **pick(world, "movers phases")}
+    more |= {key: output.as_json() for key, output in evaluation.outputs.items()}
+    return (
+        out | {key: value for key, value in more.items() if value is not None} | json_end(evaluation, evaluation.notes)
+    )
 
 
 def _control_json(evaluation: Evaluation) -> Json | None:
@@ -297,13 +288,11 @@ def _control_json(evaluation: Evaluation) -> Json | None:
 
 
 def _policy_json(plan: Plan) -> Json | None:
-    if plan.settings is None:
+    settings = plan.settings
+    if settings is None:
         return None
-    return {
-        "name": plan.settings.rule.name,
-        "risk_cap": plan.settings.risk_cap,
-        "robot_value": plan.settings.robot_value,
-    } | ({} if plan.settings.range is None else {"range": plan.settings.range})
+    limited = {} if settings.range is None else {"range": settings.range}
+    return {"name": settings.rule.name} | pick(settings, "risk_cap robot_value") | limited
 
 
 def _bounds_json(evaluation: Evaluation) -> Json:
@@ -311,13 +300,12 @@ def _bounds_json(evaluation: Evaluation) -> Json:
     bounds, limit = evaluation.formulas, evaluation.bounds.any_strategy
     undefined = dict.fromkeys(Theorem3.__dataclass_fields__)
     return {
-        **{name: getattr(bounds, name) for name in ("eq1", "eq2_printed", "team_survival", "eq4", "eq5")},
+        **pick(bounds, "eq1 eq2_printed team_survival eq4 eq5"),
         "theorem3": {
             "visited": bounds.theorem3_visited or undefined,
             "survived": bounds.theorem3_survived or undefined,
         },
-        "ideal_eq7": bounds.ideal_eq7,
-        "ideal_team": bounds.ideal_team,
+        **pick(bounds, "ideal_eq7 ideal_team"),
         "any_strategy": None if limit is None else limit.cells,
     }
 
@@ -325,8 +313,7 @@ def _bounds_json(evaluation: Evaluation) -> Json:
 def _open_json(exact: OpenLoopExact) -> Json:
     """The open loop's expected values, for either evaluated loop; NaN if not known."""
     return {
-        "visited": exact.visited,
-        "survived": exact.survived,
+        **pick(exact, "visited survived"),
         "alive": float(exact.survival.sum()),
         "losses": exact.expected_losses,
         "time": exact.mean_time,
@@ -338,11 +325,8 @@ def _closed_json(closed: ClosedTruth | None) -> Json | None:
     if closed is None:
         return None
     return closed.further | {
-        "visited": _known_json(closed.visited),
-        "survived": _known_json(closed.survived),
-        "some_left": _known_json(closed.some_left),
-        "alive": closed.alive,
-        "time": closed.time,
+        **{name: _known_json(truth) for name, truth in pick(closed, "visited survived some_left").items()},
+        **pick(closed, "alive time"),
         "how": closed.visited.how,
     }
 
@@ -359,81 +343,60 @@ def report(evaluation: Evaluation, theory: bool = False, bounds: bool = True) ->
         evaluation: the result. theory: show the formulas in full.
         bounds: False omits bounds and formulas, whose computation may take seconds.
     """
-    world, plan, certain, outputs = evaluation.world, evaluation.plan, evaluation.certain, evaluation.elements
-    rest, looked_at = evaluation.rest, _looked_at(evaluation)
+    world, plan, certain, rest = evaluation.world, evaluation.plan, evaluation.certain, evaluation.rest
     notes = [INTERVALS] * (evaluation.visited.half_width > 0)
     notes += [QUANTILES_NOTE] * (_adds_quantile(evaluation) and not evaluation.shown.visited.known)
     said = (losses_text(evaluation), completion_text(evaluation), gain_text(evaluation), *notes)
-    own = () if certain else (*said, *(note for found in outputs for note in found.notes))
+    own = () if certain else (*said, *evaluation.added("notes"))
     home = "" if certain else return_text(evaluation)
     limit = bound_text(evaluation) if bounds and not certain else ""
+    said = (*evaluation.added("opens"), home, *evaluation.added("alternatives"), limit, *evaluation.added("leads"))
+    parts = [
+        Section("Chances and coverage", answer_tables(evaluation), list(filter(None, own))),
+        Section("Coverage over time", figures=lambda: [over_time(evaluation)], intro=over_time_text(evaluation)),
+        Section("Single runs", figures=lambda: distribution(evaluation), intro="How far one run may be from the mean."),
+        Section("Cell by cell", notes=() if certain else list(cells_text(evaluation)),
+                figures=lambda: [charts.maps(evaluation)], whole=worst_cells(evaluation)),
+        Section("Robots", [robots_table(evaluation)], page_only=True),
+    ]  # fmt: skip
+    if rest is not None:
+        parts.insert(1, Section(rest.title, notes=list(remainder_text(evaluation, rest)),
+                                figures=lambda: [charts.rest_map(evaluation, rest)]))  # fmt: skip
+    if bounds and (theory or not certain):
+        parts.append(formulas_part(evaluation, theory))
+    rate = "" if certain else f": {evaluation.tally.rollouts / max(evaluation.seconds, 1e-9):,.0f} a second"
+    inputs = _inputs(evaluation)
     return Report(
         "evaluation", "evaluate", asked(world, len(plan.robots), "how much is covered?"), headline(evaluation),
-        lambda: to_json(evaluation),
-        findings=[
-            *filter(None, (*(line for found in outputs for line in found.opens), home)),
-            *(line for found in outputs for line in found.alternatives),
-            *filter(None, (limit, *(line for found in outputs for line in found.leads))),
-        ],
-        figures=_key_figures(evaluation), picture=lambda: charts.plan_map(evaluation),
-        below=lambda: [chart for found in outputs for chart in found.below],
-        parts=[
-            Section("Chances and coverage", answer_tables(evaluation), list(filter(None, own))),
-            *([] if rest is None else [Section(rest.title, notes=list(remainder_text(evaluation, rest)),
-                                            figures=lambda: [charts.rest_map(evaluation, rest)])]),
-            Section("Coverage over time", figures=lambda: [over_time(evaluation)], intro=over_time_text(evaluation)),
-            Section("Single runs", figures=lambda: distribution(evaluation),
-                    intro="How far one run may be from the mean."),
-            Section("Cell by cell", notes=() if certain else list(cells_text(evaluation)),
-                 figures=lambda: [charts.maps(evaluation)], whole=worst_cells(evaluation)),
-            Section("Robots", [robots_table(evaluation)], page_only=True),
-            *([formulas_part(evaluation, theory)] if bounds and (theory or not certain) else []),
-        ],
-        notes=evaluation.notes,
-        warnings=["Interrupted: the rollouts done so far are shown."] * evaluation.partial,
-        settings=looked_at | _settings(evaluation),
-        last=_in_lines(evaluation, looked_at),
-        pictures=_pictures(evaluation, rest),
-        files={"plan.json": lambda: json_text(plan.to_json(), compact=True)}
-        | {name: make for found in outputs for name, make in found.files.items()},
-        pace=world.pace,
+        lambda: to_json(evaluation), list(filter(None, said)), _key_figures(evaluation),
+        picture=lambda: charts.plan_map(evaluation), below=lambda: evaluation.added("below"), parts=parts,
+        notes=evaluation.notes, warnings=["Interrupted: the rollouts done so far are shown."] * evaluation.partial,
+        settings=inputs | _settings(evaluation),
+        last=[f"{name}: {value}{rate * (name == 'rollouts')}" for name, value in inputs.items()],
+        pictures=_pictures(evaluation, rest), pace=world.pace,
+        files={"plan.json": lambda: json_text(plan.to_json(), compact=True)} | evaluation.added_files("files"),
     )  # fmt: skip
 
 
-def _looked_at(evaluation: Evaluation) -> dict[str, str]:
+def _inputs(evaluation: Evaluation) -> dict[str, str]:
     """The input of the evaluation, by name."""
-    cells, plan, tally, world = evaluation.cells, evaluation.plan, evaluation.tally, evaluation.world
+    cells, plan, world = evaluation.cells, evaluation.plan, evaluation.world
     ground = f" ({_area(cells['accessible'] * world.cell_size**2)})" if world.cell_size != 1 else ""
-    loop = f"{evaluation.loop} loop"
     tree = evaluation.closed.tree if isinstance(evaluation.closed, TreeTruth) else None
-    whole = ""
-    if tree is not None:
-        whole = f"exact: all possible histories, {counted(tree.histories, 'branch', 'branches')}; and "
-    return {
-        "map": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "
-        f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
-        **({} if world.uncertainty is None else {_uncertainty_name(world): world.uncertainty.description}),
-        **({} if world.knowledge is None else {"robots' map": world.knowledge.description}),
-        **({"meaning of p": evaluation.p_means} if evaluation.p_means else {}),
+    whole = "" if tree is None else f"exact: all {counted(tree.histories, 'history', 'histories')}; and "
+    unsure = "moving threats" if world.movers else "phases" if world.phases else "map uncertainty"
+    found = {
+        "map": f"{world.name}, {world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} "
+        f"free, {cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
+        unsure: world.uncertainty and world.uncertainty.description,
+        "robots' map": world.knowledge and world.knowledge.description,
+        "meaning of p": evaluation.p_means,
         "plan": f"{plan.origin if plan.is_external else plan_text(plan)}, {span_text(plan, world.pace)}"
-        + ("" if world.knowledge is None else ", by the prior map"),
-        "rollouts": f"{whole}{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, "
-        f"{evaluation.engine_said}",
+        + ", by the prior map" * (world.knowledge is not None),
+        "rollouts": f"{whole}{counted(evaluation.tally.rollouts, 'rollout')}, {evaluation.loop} loop, seed "
+        f"{evaluation.seed}, {evaluation.engine_said}",
     }
-
-
-def _uncertainty_name(world: World) -> str:
-    """The name of `World.uncertainty` in the report."""
-    return "moving threats" if world.movers else "phases" if world.phases else "map uncertainty"
-
-
-def _in_lines(evaluation: Evaluation, looked_at: Mapping[str, str]) -> list[str]:
-    """The input as lines for a terminal, and the rate of the rollouts if there are several."""
-    plan, rate = evaluation.plan, evaluation.tally.rollouts / max(evaluation.seconds, 1e-9)
-    before = {"map": f"{evaluation.world.source}: ", "map uncertainty": "map uncertainty: ",
-              "plan": "plan: " * (not plan.is_external)}  # fmt: skip
-    lines = [before.get(name, "") + value for name, value in looked_at.items()]
-    return lines if evaluation.certain else [*lines[:-1], f"{lines[-1]}: {rate:,.0f} a second"]
+    return {name: text for name, text in found.items() if text}
 
 
 def _area(square_metres: float) -> str:
@@ -443,10 +406,8 @@ def _area(square_metres: float) -> str:
 def _settings(evaluation: Evaluation) -> dict[str, object]:
     """Further settings that affect the figures, and notes of the map's reader and of the planner."""
     world, plan = evaluation.world, evaluation.plan
-    out: dict[str, object] = {"map's name": world.name, "map's SHA-256": f"{world.sha256[:16]}..."}
+    out: dict[str, object] = {"map's SHA-256": f"{world.sha256[:16]}..."} | evaluation.added_files("settings")
     out |= {} if plan.settings is None else plan.settings.described(world.pace)
-    for found in evaluation.elements:
-        out |= found.settings
     noted = {"how the map was read": world.notes, "how the plan was made": plan.notes}
     return out | {name: "; ".join(notes) for name, notes in noted.items() if notes}
 
@@ -479,8 +440,7 @@ def _pictures(evaluation: Evaluation, rest: Rest | None) -> Mapping[str, Callabl
         "distribution.png": lambda: distribution(evaluation, picture=True),
         "over_time.png": lambda: [over_time(evaluation)],
     }
-    for found in evaluation.elements:
-        for name, make in found.layers.items():
-            out[name] = partial(charts.with_route, evaluation, make)
-        out |= found.pictures
+    layers = evaluation.added_files("layers").items()
+    out |= {name: partial(charts.with_route, evaluation, make) for name, make in layers}
+    out |= evaluation.added_files("pictures")
     return out if rest is None else out | {"rest.png": lambda: charts.rest_picture(evaluation, rest)}

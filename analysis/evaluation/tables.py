@@ -32,7 +32,7 @@ SAID_BY_COVERAGE = (Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST, Outcome.END_OF_PA
 
 def answer_tables(evaluation: Evaluation) -> list[Table]:
     """The tables of the figures: probabilities and time, coverage, and those of the outputs."""
-    more, tables = [row for found in evaluation.elements for row in found.rows], list[Table]()
+    more, tables = evaluation.added("rows"), list[Table]()
     if not evaluation.certain:
         sampled = "sampled" if _shown_figures(evaluation).visited.known is None else "chance"
         chances = list(_chance_rows(evaluation))
@@ -41,7 +41,7 @@ def answer_tables(evaluation: Evaluation) -> list[Table]:
         columns = ("mean", "95 % interval", "5 %", "median", "95 %")
         rows = [*_coverage_rows(evaluation), *more]
         tables.append(_table(evaluation, "Coverage, % of the accessible cells", columns, rows))
-    return [*tables, *(table for found in evaluation.elements for table in found.tables)]
+    return [*tables, *evaluation.added("tables")]
 
 
 def _table(evaluation: Evaluation, title: str, columns: Sequence[str], rows: Sequence[Row]) -> Table:
@@ -224,11 +224,11 @@ def over_time(evaluation: Evaluation) -> Chart:
     """Expected coverage by the end of each step, with the curves and marks of the outputs."""
     expected, cells, closed = evaluation.expected, evaluation.tally.accessible, evaluation.loop == "closed"
     makespan, exact = evaluation.plan.makespan, evaluation.closed_form
-    marks = [mark for found in evaluation.elements for mark in found.marks]
+    marks = evaluation.added("marks")
     last = evaluation.last_shown
     # A mark far beyond the end would compress the curves, and is omitted.
     last = max([last, *(int(step) for step, _ in marks if step <= 2 * last)])
-    more = [_until(last, one) for found in evaluation.elements for one in found.curves]
+    more = [_until(last, one) for one in evaluation.added("curves")]
     steps = np.asarray(more[0].x) if more else np.unique(np.linspace(0, last, STEPS).round().astype(np.int64))
 
     def curve(name: str, values: NDArray[np.float64], colour: int, dashed: bool = False) -> Series:
@@ -340,7 +340,7 @@ MOST_PHASES = 8
 def maps(evaluation: Evaluation) -> CellMaps:
     """Threat, probability of coverage, robots lost, residual risk, the outputs' layers, and the areas."""
     own = evaluation.layers
-    more = [make() for found in evaluation.elements for make in found.layers.values()]
+    more = [make() for make in evaluation.added_files("layers").values()]
     layers = [*threats(evaluation), own.chance, own.losses, own.left, *more, *own.areas]
     return CellMaps(evaluation.ground, evaluation.plan.starts, layers, anchor=CELLS)
 
