@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.estimators.trial import closed_truth
-from analysis.report.answer import Answer, json_end
-from analysis.report.model import KeyFigure, Part, Report
+from analysis.report.model import KeyFigure, Report, Section
+from analysis.report.result import Result, json_end
 from analysis.sampling import RolloutChoices, check_deadline, home_of, knowing_deadline, make_singles
-from analysis.statistics.estimates import Estimate, between, exactly, looks, lost_text, of_all, proportion
+from analysis.statistics.estimates import Estimate, between, exactly, looks, of_all, proportion, robots_text
 from analysis.statistics.variance_reduction import LEAST, CommonThresholds, Difference, Paired, controlled, difference
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import longest_run
@@ -75,7 +75,7 @@ class Side:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Comparison(Answer):
+class Comparison(Result):
     """The result of a comparison: sums of both sides over the same rollouts.
 
     Attributes:
@@ -351,7 +351,7 @@ def report(answer: Comparison) -> Report:
         headline(answer), lambda: _json(answer), figures=_key_figures(answer),
         heading=(f"A: {_description(a)}", f"B: {_description(b)}", *[certain] * answer.certain,
                  f"{counted(answer.rollouts, 'rollout')} on common random numbers, seed {a.choices.seed}"),
-        took=[f"{rate:,.0f} rollouts a second of both"], parts=[Part("Figures", [_table(answer)], [TABLE_NOTE])],
+        took=[f"{rate:,.0f} rollouts a second of both"], parts=[Section("Figures", [_table(answer)], [TABLE_NOTE])],
         notes=_notes(answer), warnings=["Interrupted: the rollouts done so far are shown."] * answer.partial,
         pace=_pace(answer),
     )  # fmt: skip
@@ -362,32 +362,15 @@ def headline(answer: Comparison) -> str:
     if not any(answer.differing):
         return "A and B are equal: no difference (exact)."
     one, other = (f"{name} ({', '.join(words)})" for name, words in zip("AB", answer.differing, strict=True))
-    runs = f"it is {_often(answer, 'ahead')}, {_often(answer, 'behind')}"
-    known = answer.exact_difference("visited")
-    if known is not None:
-        if known == 0:
-            return f"{other} visits exactly as much of the accessible cells as {one}; {runs}."
-        by = f"{abs(100 * known):.3f} points (exact) {_more(known)} of the accessible cells than {one}"
-        return f"{other} visits {by}; {runs}."
-    estimate = answer.difference("visited").estimate
-    low, high = (100 * bound for bound in estimate.ci95)
-    if low <= 0 <= high:
-        apart = f"B - A = {100 * estimate.mean:.2g} points of coverage ({low:.2g} .. {high:.2g}, confidence 0.95)"
-        return f"No difference seen between {one} and {other}: {apart}; {runs.replace('it', 'B', 1)}."
-    by = f"{abs(100 * estimate.mean):.2f} points {_more(estimate.mean)} of the accessible cells than {one}"
-    return f"{other} visits {by} on average (B - A: {low:.2f} .. {high:.2f}, confidence 0.95); {runs}."
-
-
-def _often(answer: Comparison, which: str) -> str:
-    """ "ahead in 91.2 % of runs", "never ahead"."""
-    count = getattr(answer, which)
-    if count in (0, answer.rollouts):
-        return f"{'always' if count else 'never'} {which}"
-    return f"{which} in {share(count, answer.rollouts)} of runs"
-
-
-def _more(value: float) -> str:
-    return "more" if value > 0 else "less"
+    known, estimate = answer.exact_difference("visited"), answer.difference("visited").estimate
+    mean, (low, high) = 100 * (estimate.mean if known is None else known), (100 * end for end in estimate.ci95)
+    sure = f"B - A: {low:.2f} .. {high:.2f}, confidence 0.95" if known is None else "exact"
+    seen = "No difference seen: " * (known is None and low <= 0 <= high)
+    ahead, behind = (share(count, answer.rollouts) for count in (answer.ahead, answer.behind))
+    by = f"{abs(mean):.{2 if known is None else 3}f} points {'more' if mean > 0 else 'less'} of the accessible cells"
+    return (
+        f"{seen}{other} visits {by} than {one} on average ({sure}); B is ahead in {ahead} of runs, behind in {behind}."
+    )
 
 
 def _notes(answer: Comparison) -> list[str]:
@@ -404,7 +387,7 @@ def _notes(answer: Comparison) -> list[str]:
     for name, side in zip("AB", answer.sides, strict=True):
         if side.comes_home and "home" not in answer.figures:
             mean, every = (answer.mean(side, figure) for figure in OF_HOME)
-            said = f"{name}'s robots return to base, {lost_text(mean, len(side.plan.robots))}"
+            said = f"{name}'s robots return to base, {robots_text(mean, len(side.plan.robots))}"
             found.append(f"{said}, all of them in {percent(every)} of runs; the other side's need not")
     if vague := [SHOWN[figure][0] for figure in answer.figures if _is_vague(answer, figure)]:
         found.append(f"too few rollouts to compare {', '.join(vague)}: the intervals are wider than the figures")
@@ -448,12 +431,10 @@ def _coverages(answer: Comparison) -> list[tuple[str, str, float]]:
 def _key_figures(answer: Comparison) -> list[KeyFigure]:
     out = []
     for figure, name, scale in _coverages(answer):
-        estimate = answer.difference(figure).estimate
-        if figure in FIGURES[:2] and (known := answer.exact_difference(figure)) is not None:
-            estimate = exactly(known)
-        low, high = (scale * end for end in estimate.ci95)
-        interval = "exact" if low == high else between(low, high)
-        out.append(KeyFigure(f"{scale * estimate.mean:+.2f}", f"{name}: B - A", interval))
+        known = answer.exact_difference(figure) if figure in FIGURES[:2] else None
+        estimate = (answer.difference(figure).estimate if known is None else exactly(known)).times(scale)
+        interval = "exact" if estimate.half_width == 0 else between(*estimate.ci95)
+        out.append(KeyFigure(f"{estimate.mean:+.2f}", f"{name}: B - A", interval))
     return out
 
 
@@ -508,9 +489,10 @@ def _json(answer: Comparison) -> Json:
 
 
 def _side_json(answer: Comparison, side: Side) -> Json:
-    plan, choices, exact = side.plan, side.choices, None
-    if side.exact is not None:
-        exact = {figure: side.unit(figure) * value for figure, value in zip(FIGURES[:2], side.exact, strict=True)}
+    plan, choices = side.plan, side.choices
+    exact = side.exact and {
+        figure: side.unit(figure) * value for figure, value in zip(FIGURES[:2], side.exact, strict=True)
+    }
     return {
         "input": side.world.source,
         "robots": len(plan.robots),

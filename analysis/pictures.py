@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import BoundaryNorm, FuncNorm, LinearSegmentedColormap, ListedColormap, to_rgba
+from matplotlib.colors import BoundaryNorm, Colormap, FuncNorm, LinearSegmentedColormap, ListedColormap, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
@@ -49,6 +49,8 @@ FINE_DPI = 225
 FINE_FROM = 100
 
 INK, FAINT, GRID = "#20242b", "#5b6470", "#d9dce1"
+PICK = "#b3263a"
+"""What stands out: a selected point, an outlined cell."""
 OBSTACLE, UNREACHABLE, SAFE, FOG = "#3d434c", "#dfe5ee", "#fcfbf8", "#4a4560"
 ROBOT_COLOURS = ("#0072b2", "#00916a", "#7a2fa0", "#111111", "#2fa8e6", "#8a7f00", "#d6409f", "#7a4a24")
 """Eight colours that colour-blind readers can distinguish, also on the reds of the threat scale."""
@@ -60,6 +62,8 @@ SHADES = 250
 THREAT = LinearSegmentedColormap.from_list("threat", ["#fde6d3", "#fac79f", "#f19c74", "#e0705a", "#c5464a"])
 COVERED = LinearSegmentedColormap.from_list("covered", ["#fff8dc", "#d3ecb9", "#85cdb9", "#3f9fbe", "#2f62a6"])
 LOSSES = LinearSegmentedColormap.from_list("losses", ["#fcfbf8", "#fbd3a5", "#f08a55", "#c93a3c", "#7a1237"])
+SCALES: dict[str, Colormap] = {"threat": THREAT, "covered": COVERED, "losses": LOSSES}
+"""Colour scales by the names that layers of cells give."""
 
 RC = {
     "font.family": "DejaVu Sans",

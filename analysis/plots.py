@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from analysis.checking.check import MapCheck
 from analysis.evaluation.evaluate import Evaluation
 from analysis.pictures import picture_style, plan_figure
-from analysis.report.answer import Answer, report_of
 from analysis.report.rendering import figure_of
+from analysis.report.result import Result, report_of
 from analysis.search.pareto import Front
 from analysis.search.start_positions import Starts
 from analysis.search.team_size import TeamSize
@@ -29,7 +29,7 @@ __all__ = [
     "left_figure", "losses_figure", "over_time_figure", "size_figure", "starts_figure", "world_figure",
 ]  # fmt: skip
 
-Kind = TypeVar("Kind", bound=Answer)
+Kind = TypeVar("Kind", bound=Result)
 PICTURED = "a World, a World and a Plan, or an Evaluation"
 
 

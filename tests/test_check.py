@@ -244,7 +244,7 @@ def test_a_wrong_bound_that_is_marked_as_proven_is_a_fault(
     )
     found = answer(capsys, WORLD, "--robots", "1", "--rollouts", "512", status=1)
     assert found["faults"] == ["ideal_connected/visited/closed", "ideal_connected/visited/open"]
-    assert found["answer"].startswith("FAULT: proven, but fails on this map: upper bound, this map")
+    assert found["answer"].startswith("FAULT: proven, but fails: upper bound, this map")
     assert run(["check", "--worlds", "2", "--robots", "1", "--size", "6x6", "--processes", "1"]) == 1
     assert capsys.readouterr().out.startswith("FAULT: ")
 

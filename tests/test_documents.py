@@ -21,7 +21,7 @@ import analysis.examples
 import mrac_jax as mrac
 from analysis.cli.app import app
 from analysis.evaluation.report import report
-from analysis.report.answer import print_report, report_of
+from analysis.report.result import print_report, report_of
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.utils.tables import as_text
 from planner.errors import InputError

@@ -21,36 +21,34 @@ from rich.table import Table
 
 import mrac_jax as mrac
 from analysis.checking.check import MapCheck, Survey, check_input, make_survey, run_survey
+from analysis.checking.check import coverage as coverage_chart
 from analysis.checking.report import check_headline, check_report, survey_headline, survey_report
 from analysis.evaluation.evaluate import Evaluation, evaluate
 from analysis.evaluation.layers import nominal, picked
 from analysis.evaluation.report import bound_text, completion_text, headline, losses_text, report
-from analysis.evaluation.tables import formulas_text
+from analysis.evaluation.tables import distribution, formulas_text, over_time
+from analysis.page.charts import chart_html
 from analysis.page.document import (
     FOLDED_FROM,
     MOST_ROWS,
     TEMPLATES,
-    Chart,
     Html,
-    Series,
     TableData,
     asset,
     block,
-    curves_html,
     from_rich,
-    label,
-    ticks,
     unbroken,
     whole_script,
     with_code,
 )
-from analysis.page.maps import NOT_FREE, OUT_OF_REACH, STEPS, CellLayer, Run, cell_maps_html, pack, packed_runs
+from analysis.page.elements import CellLayer, Chart, Run, Series
+from analysis.page.maps import NOT_FREE, OUT_OF_REACH, STEPS, cell_maps_html, pack, packed_runs
 from analysis.pictures import COVERED, picture_style
 from analysis.recording.frames import make_frames
-from analysis.report.answer import save_report
-from analysis.report.model import KeyFigure, Part, Report
+from analysis.report.model import KeyFigure, Report, Section
 from analysis.report.rendering import figure_of, page_of
 from analysis.report.rendering import page_of as page_of_report
+from analysis.report.result import save_report
 from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.theory.verdicts import FORMULAS
 from planner.make_plan import make_plan
@@ -121,7 +119,7 @@ def test_a_page_of_hostile_words_is_sound() -> None:
         table = Table(*HOSTILE, title=HOSTILE[0])
         table.add_row(*HOSTILE)
         settings = dict(zip(HOSTILE, HOSTILE, strict=True))
-        parts = [Part(HOSTILE[0], drawn=lambda: [chart]), Part("Tables", [table], HOSTILE, lead=HOSTILE[0])]
+        parts = [Section(HOSTILE[0], figures=lambda: [chart]), Section("Tables", [table], HOSTILE, intro=HOSTILE[0])]
         said = Report(HOSTILE[0], HOSTILE[0], HOSTILE[0], HOSTILE[2], dict, HOSTILE, [KeyFigure(*HOSTILE[:3])],
                       parts=parts, notes=HOSTILE, warnings=HOSTILE, settings=settings, heading=HOSTILE)  # fmt: skip
         return page_of(said, HOSTILE[0], dict.fromkeys(HOSTILE, PNG), HOSTILE)
@@ -129,20 +127,22 @@ def test_a_page_of_hostile_words_is_sound() -> None:
     page = made()
     reader = check_page_is_sound(page)
     assert page == made()
-    assert "alert(1)" in reader.text and len(reader.scripts) == 2
+    assert "alert(1)" in reader.text and len(reader.scripts) == 1
     assert len(reader.all("img")) == len(HOSTILE)
 
 
 def test_an_axis_of_words_has_words() -> None:
-    """In its labels, in the table of values and under the pointer."""
-    chart = Chart("T", (Series("one", [0, 1], [3, 4]),), "risk", "covered", x_words=("paper", "log"))
-    reader = Reader(curves_html(chart))
+    """In its labels and in the table of values."""
+    reader = Reader(
+        chart_html(Chart("T", (Series("one", [0, 1], [3, 4]),), "risk", "covered", x_words=("paper", "log")))
+    )
     assert reader.text.count("paper") == reader.text.count("log") == 2
-    assert reader.data()[0]["xWords"] == ["paper", "log"]
 
 
 def test_sections_without_anything_are_left_out() -> None:
-    page = page_of(Report("n", "k", "T", "A.", dict, parts=[Part("One", notes=["x"]), Part("Two")]), "mrac-jax", {}, ())
+    page = page_of(
+        Report("n", "k", "T", "A.", dict, parts=[Section("One", notes=["x"]), Section("Two")]), "mrac-jax", {}, ()
+    )
     headings = [heading for _, heading in check_page_is_sound(page).headings]
     assert headings == ["T", "One", "How to reproduce"]
 
@@ -176,59 +176,39 @@ def test_long_tables_are_folded_and_cut_with_a_note() -> None:
 # --- curves ---
 
 
-def test_a_curve_is_drawn_at_its_values() -> None:
+def numbers(path: str) -> np.ndarray:
+    """The points of SVG path data, float64 `[n, 2]`."""
+    return np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", path), dtype=float)
+
+
+def test_a_curve_is_drawn_at_its_values_in_the_colours_of_the_style_sheet() -> None:
     series = (
         Series("a", [0, 5, 10], [0, 50, 100], [0, 40, 90], [10, 60, 100]),
         Series("b", [0, 10], [20, np.nan], kind="points"),
     )
-    html = curves_html(Chart("T", series, "robots", "%", unit="%", y_range=(0, 100)))
+    html = chart_html(Chart("T", series, "robots", "%", unit="%", y_range=(0, 100)))
+    assert html == chart_html(Chart("T", series, "robots", "%", unit="%", y_range=(0, 100)))
     reader = Reader(html)
-    known = reader.data()[0]
-    assert [s["name"] for s in known["series"]] == ["a", "b"]
-    assert known["series"][0]["y"] == [0, 50, 100] and known["series"][0]["high"] == [10, 60, 100]
-    assert known["series"][1]["x"] == [0]
-    paths = {str(attrs.get("class")): str(attrs["d"]) for attrs in reader.all("path")}
-    low, high = known["x"]
-    at = [1000 * (x - low) / (high - low) for x in (0, 5, 10)]
-    drawn = [[float(v) for v in point.split()] for point in paths["line"][1:].split("L")]
-    assert np.allclose(drawn, [[at[0], 1000], [at[1], 500], [at[2], 0]], atol=0.1)
-    assert "50.0 (40.0 .. 60.0)" in reader.text and "Upright lines: 95 % interval." in reader.text
-    assert len(reader.all("button")) == 2
+    curves = [attrs for attrs in reader.all("path") if re.search(r"fill: none.*var\(--c0\)", str(attrs["style"]))]
+    line, _ = (numbers(str(one["d"])) for one in curves if str(one["d"]).count("L") == 2)
+    assert np.allclose(np.diff(line[:, 0]), np.ptp(line[:, 0]) / 2)
+    assert np.isclose(line[1, 1], line[[0, 2], 1].mean()) and line[0, 1] > line[2, 1]
+    assert "50.00 (40.00 .. 60.00)" in reader.text and "Upright lines: 95 % interval." in reader.text
+    assert reader.text.count("b") > 1 and not re.search(r"#[0-9a-f]{6}\b", html), "a dark page has other colours"
+    assert {"robots", "0 %", "100 %"} <= set(re.findall(r"<text[^>]*>([^<]*)<", html)), "text, not outlines"
 
 
-def test_long_curves_are_thinned_and_banded() -> None:
+def test_long_curves_are_banded() -> None:
     x = np.arange(100_000)
-    html = curves_html(Chart("T", (Series("a", x, x / 2, x / 4, x, kind="step"),), "step", "cells"))
-    assert len(html) < 60_000
-    known = Reader(html).data()[0]["series"][0]
-    assert known["x"][0] == 0 and known["x"][-1] == 99_999 and len(known["x"]) == 400
-    assert Reader(html).all("path", "band")
+    reader = Reader(chart_html(Chart("T", (Series("a", x, x / 2, x / 4, x, kind="step"),), "step", "cells")))
+    assert "Shaded: 95 % interval." in reader.text and "opacity: 0.2" in str([dict(one) for _, one in reader.tags])
 
 
 def test_charts_of_one_point_and_of_none() -> None:
     for y in (0.0, 1.0, -3.0):
-        assert Reader(curves_html(Chart("T", (Series("a", [4], [y]),), "robots", "%"))).all("path", "dots")
-    reader = Reader(
-        curves_html(Chart("T", (Series("a", [4], [1]),), "x", "y", at_x=((99, "far"),), at_y=((-9, "low"),)))
-    )
-    assert not reader.all("path", "mark") and "far" not in reader.text and "low" not in reader.text
-    assert curves_html(Chart("T", (Series("a", [], []), Series("b", [1], [np.nan])), "robots", "%")) == ""
-    assert curves_html(Chart("T", (), "robots", "%")) == ""
-
-
-def test_bars_start_at_the_axis() -> None:
-    reader = Reader(curves_html(Chart("T", (Series("a", [1, 2, 3], [1, 0, 4], kind="bars"),), "x", "y")))
-    path = str(reader.all("path", "bars")[0]["d"])
-    assert path.count("Z") == 2 and path.count("M") == 2
-
-
-def test_ticks() -> None:
-    assert ticks(0, 100, 5).tolist() == [0, 20, 40, 60, 80, 100]
-    assert ticks(0.2, 3, 9, whole=True).tolist() == [1, 2, 3]
-    assert np.allclose(ticks(-0.03, 0.03, 3), [-0.02, 0, 0.02])
-    assert [label(x, step) for x, step in ((1500, 500), (0.25, 0.05), (-0.0, 1), (1e-6, 1e-6))] == [
-        "1,500", "0.25", "0", "0.000001",
-    ]  # fmt: skip
+        assert "<svg" in chart_html(Chart("T", (Series("a", [4], [y]),), "robots", "%"))
+    assert chart_html(Chart("T", (Series("a", [], []), Series("b", [1], [np.nan])), "robots", "%")) == ""
+    assert chart_html(Chart("T", (), "robots", "%")) == ""
 
 
 # --- maps by cell ---
@@ -460,16 +440,17 @@ def test_maps_hold_the_expected_values(answer: Evaluation) -> None:
 
 
 def test_curves_hold_the_expected_values(answer: Evaluation) -> None:
-    charts = [found for found in check_page_is_sound(page_of_reports(answer)).data() if "series" in found]
-    visited = charts[0]["series"][0]
-    steps = np.minimum(np.array(visited["x"], dtype=int), len(answer.expected.visited_curve) - 1)
-    cells = answer.tally.accessible
-    assert np.allclose(visited["y"], 100 * answer.expected.visited_curve[steps] / cells, atol=0.01)
-    chance = charts[1]["series"][0]
-    for x, y, low, high in zip(chance["x"], chance["y"], chance["low"], chance["high"], strict=True):
+    """And each chart is on the page, by its name."""
+    text, cells = check_page_is_sound(page_of_reports(answer)).text, answer.tally.accessible
+    charts = [over_time(answer), *distribution(answer)]
+    assert all(chart.title in text and one.name in text for chart in charts for one in chart.series)
+    visited, chance, runs = (chart.series[0] for chart in charts)
+    steps = np.minimum(np.array(visited.x), len(answer.expected.visited_curve) - 1)
+    assert np.allclose(visited.y, 100 * answer.expected.visited_curve[steps] / cells, atol=0.01)
+    for x, *known in zip(*map(np.asarray, (chance.x, chance.y, chance.low, chance.high)), strict=True):
         held = answer.figures.visited.chance(round(x * cells / 100))
-        assert np.allclose((y, low, high), 100 * np.array([held.mean, *held.ci95]), atol=0.01)
-    assert np.isclose(sum(charts[2]["series"][0]["y"]), 100, atol=0.1)
+        assert np.allclose(known, 100 * np.array([held.mean, *held.ci95]), atol=0.01)
+    assert np.isclose(np.sum(runs.y), 100, atol=0.1)
 
 
 def hard_worlds() -> dict[str, Evaluation]:
@@ -518,7 +499,7 @@ def test_survey_page(survey: Survey) -> None:
     )
     assert survey_headline(survey) in reader.text and COMMAND in reader.text
     assert {row.check.about.title for row in survey.rows} <= titles(reader)
-    coverage = reader.data()[-1]["series"][0]
+    coverage = coverage_chart(survey).series[0]
     truths = [
         check.truth.value / entry.cells
         for entry in survey.entries
@@ -526,7 +507,7 @@ def test_survey_page(survey: Survey) -> None:
         for check in entry.checks
         if check.key == "ideal_team/visited/open"
     ]
-    assert np.isclose(coverage["y"][1], 100 * np.mean(truths), atol=0.01)
+    assert np.isclose(np.asarray(coverage.y)[1], 100 * np.mean(truths), atol=0.01)
 
 
 def titles(reader: Reader) -> set[str]:

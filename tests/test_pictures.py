@@ -30,7 +30,8 @@ from analysis.evaluation.evaluate import Evaluation, evaluate
 from analysis.evaluation.outputs.over_time import Band, Deadline, last_shown
 from analysis.evaluation.report import report
 from analysis.evaluation.tables import bin_counts, histogram_bins, marks
-from analysis.page.document import Chart, Series
+from analysis.page.charts import charts_figure
+from analysis.page.elements import Chart, Series
 from analysis.pictures import (
     group_labels,
     label_width,
@@ -41,8 +42,8 @@ from analysis.pictures import (
     png_of,
     ranges,
 )
-from analysis.report.answer import save_report
-from analysis.report.rendering import charts_figure, figure_of
+from analysis.report.rendering import figure_of
+from analysis.report.result import save_report
 from analysis.sampling import RolloutChoices
 from planner.formatting import percent
 from planner.make_plan import make_plan

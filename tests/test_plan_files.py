@@ -28,7 +28,7 @@ from analysis.comparison import compare, make_side
 from analysis.evaluation.evaluate import evaluate
 from analysis.recording.container import open_log
 from analysis.recording.contents import read_rollouts
-from analysis.report.answer import with_minutes
+from analysis.report.result import with_minutes
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import Team, run_key
 from analysis.sweeps.results import outcomes_of, select

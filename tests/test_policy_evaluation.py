@@ -31,7 +31,7 @@ from policies_study import headline as study_headline
 import mrac_jax as mrac
 from analysis.policy_evaluation.leaderboard import RANDOM, Leaderboard, Rolled, WorldResults
 from analysis.policy_evaluation.policy_evaluation import estimate_of, headline, roll_policy, scores_of
-from analysis.report.answer import print_report
+from analysis.report.result import print_report
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.estimates import mean_estimate
 from analysis.sweeps.engine import Finished

@@ -26,7 +26,7 @@ from analysis.checking.report import check_report
 from analysis.cli.app import run
 from analysis.evaluation.report import remainder_text
 from analysis.evaluation.report import report as evaluation_report
-from analysis.report.answer import print_report
+from analysis.report.result import print_report
 from analysis.theory import flow_programme as single
 from analysis.theory.bounds import (
     CorrectedTheorem3,
@@ -728,7 +728,7 @@ def test_what_is_too_far_to_come_home_from_is_not_in_the_bound() -> None:
         assert 2.7 < answer.bounds.least.cells <= 3
         assert answer.rest is not None
         said = next(iter(remainder_text(answer, answer.rest)))
-        assert "4 accessible cells (57.1 %) are too far for any robot to visit and return" in said
+        assert said == "Too far for any robot to visit and return: 4 accessible cells (57.1 %)."
     ends = mrac.evaluate(world, mrac.plan(world, 1, range=4), rollouts=64)
     assert 4.4 < ends.bounds.least.cells <= 5
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from analysis.estimators.trial import closed_truth
 from analysis.inputs import map_size
-from analysis.page.document import Chart, Series
-from analysis.report.answer import Answer, json_end
+from analysis.page.elements import Chart, Series
+from analysis.report.result import Result, json_end
 from analysis.sampling import Exactness, RolloutChoices, make_roll_out
 from analysis.statistics.estimates import Estimate, over_maps, proportion
 from analysis.theory.bounds import all_bounds
@@ -60,7 +60,7 @@ from planner.world.world import World
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MapCheck(Answer):
+class MapCheck(Result):
     """Checks of all formulas on one map.
 
     Attributes:
@@ -356,7 +356,7 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Survey(Answer):
+class Survey(Result):
     """The result of a survey; `entries` are sorted by (seed, robots). partial: whether it was interrupted."""
 
     reported_by = "analysis.checking.report:survey_report"
@@ -545,8 +545,7 @@ def failing(survey: Survey) -> Chart:
         y_name="share of the worlds on which it fails, %",
         unit="%",
         y_range=(0, 100),
-        note="Of the worlds where the formula is defined, in the meaning and loop in which it fails most. Press a name "
-        "to hide a curve.",
+        note="Of the worlds where the formula is defined, in the meaning and loop in which it fails most.",
     )
 
 

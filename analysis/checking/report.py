@@ -19,12 +19,12 @@ from analysis.checking.check import (
     survey_starts,
     survey_world,
 )
-from analysis.page.document import Chart
-from analysis.report.answer import asked, json_end, map_text
-from analysis.report.model import CellMaps, KeyFigure, Part, Report
+from analysis.page.elements import Chart
+from analysis.report.model import CellMaps, KeyFigure, Report, Section
+from analysis.report.result import asked, json_end, map_text
 from analysis.statistics.estimates import ALPHA, between
 from analysis.theory.verdicts import FORMULAS, Check, Direction, Truth, Verdict, badness, overall
-from analysis.utils.tables import csv_text, make_table
+from analysis.utils.tables import Column, csv_text, make_table, table_of
 from planner.arguments import argument
 from planner.files import Json
 from planner.formatting import counted, in_percent, percent
@@ -42,6 +42,10 @@ SAYS = {
 }
 
 
+UNCERTAIN = {Verdict.VACUOUS: "say nothing", Verdict.UNDECIDED: "are undecided"}
+"""What else the summary counts."""
+
+
 def check_report(checked: MapCheck) -> Report:
     """The report of one map: all formulas in a table, their subject cell by cell, one scale in the picture."""
     said = check_headline(checked)
@@ -50,9 +54,9 @@ def check_report(checked: MapCheck) -> Report:
         lambda: {"answer": said} | check_json(checked),
         findings=_check_findings(checked), figures=_check_key_figures(checked), heading=_check_heading(checked),
         parts=(
-            Part("Every formula", [_check_table(checked)], _check_footnotes(checked)),
-            Part("Cell by cell", drawn=lambda: [_maps(checked)],
-                 lead="The open loop, exact: the subject of the formulas."),
+            Section("Every formula", [_check_table(checked)], _check_footnotes(checked)),
+            Section("Cell by cell", figures=lambda: [_maps(checked)],
+                 intro="The open loop, exact: the subject of the formulas."),
         ),
         warnings=_warnings(checked), settings=_settings(checked), pictures={"check.png": lambda: _picture(checked)},
         faults=checked.faults,
@@ -62,23 +66,21 @@ def check_report(checked: MapCheck) -> Report:
 def check_headline(checked: MapCheck) -> str:
     """The summary: the paper's formulas that fail, and whether a proven one fails."""
     found = {key: overall(check for check in checked.checks if check.formula == key) for key in FORMULAS}
-    paper = [key for key, verdict in found.items() if verdict is not None and FORMULAS[key].paper]
-    failing = [key for key in paper if found[key] is Verdict.FAILS]
-    fail = "fails" if len(failing) == 1 else "fail"
-    said = f"{len(failing)} of the paper's {len(paper)} formulas, counting all readings, {fail} on this map"
-    if failing:
-        said += f": {'; '.join(FORMULAS[key].title for key in failing)}"
-    empty = [key for key in paper if found[key] is Verdict.VACUOUS]
-    if empty:
-        said += f". {len(empty)} say nothing" if len(empty) > 1 else ". 1 says nothing"
-    unsure = sum(found[key] is Verdict.UNDECIDED for key in paper)
-    if unsure:
-        said += f". {unsure} undecided"
-    if checked.faults:
-        names = sorted({check.about.title for check in checked.faults})
-        return f"FAULT: proven, but fails on this map: {'; '.join(names)}. {said}."
-    ours = [key for key, verdict in found.items() if verdict is not None and not FORMULAS[key].paper]
-    return f"{said}. Of our {len(ours)} bounds, none fails."
+    paper, ours = (
+        {key: verdict for key, verdict in found.items() if verdict and FORMULAS[key].paper is is_paper}
+        for is_paper in (True, False)
+    )
+    failing = [FORMULAS[key].title for key, verdict in paper.items() if verdict is Verdict.FAILS]
+    counts = {word: list(paper.values()).count(verdict) for verdict, word in UNCERTAIN.items()}
+    said = "".join(f", {number} {word}" for word, number in counts.items() if number)
+    formulas = f"{len(failing)} of the paper's {len(paper)} formulas, counting all readings, fail on this map"
+    return _with_faults(f"{formulas}{said}", failing, len(ours), [check.about.title for check in checked.faults])
+
+
+def _with_faults(said: str, failing: list[str], ours: int, faults: list[str]) -> str:
+    """The summary with the names of the paper's formulas that fail, after the proven ones that do."""
+    fault = f"FAULT: proven, but fails: {'; '.join(sorted(set(faults)))}. " if faults else ""
+    return f"{fault}{said}{': ' * bool(failing)}{'; '.join(failing)}. Of our {ours} bounds, {len(set(faults))} fail."
 
 
 def _check_heading(checked: MapCheck) -> list[str]:
@@ -135,17 +137,26 @@ def _check_rows(checked: MapCheck) -> list[list[Check]]:
 
 def _check_table(checked: MapCheck) -> Table:
     """A row for each statement, or each formula and meaning, with the verdicts of both loops."""
-    words, numbers = ("statement", "source", "says", "of"), ("value", "open loop", "closed loop")
     look: dict[str, Any] = {"padding": (0, 1), "pad_edge": False, "collapse_padding": True}
-    table = make_table((*words, *numbers), "Formulas against the truth", left=words, **look)
-    for checks in _check_rows(checked):
-        about, first = checks[0].about, checks[0]
-        cells = {check.loop: f"{figure(check.truth.value, about.unit)} {_word(check)}" for check in checks}
-        left = cells.get("open", cells.get("nominal", ""))
-        source = about.title if checked.theory == "all" else about.source
-        table.add_row(about.plain, source, _says(first), _of(first), figure(first.value, about.unit), left,
-                      cells.get("closed", ""))  # fmt: skip
-    return table
+
+    def truth(*loops: str) -> Callable[[list[Check]], str | None]:
+        def text(checks: list[Check]) -> str | None:
+            found = (f"{figure(c.truth.value, c.about.unit)} {_word(c)}" for c in checks if c.loop in loops)
+            return next(found, None)
+
+        return text
+
+    columns = (
+        Column("statement", lambda checks: checks[0].about.plain, words=True),
+        Column("source", lambda checks: checks[0].about.title if checked.theory == "all" else checks[0].about.source,
+               words=True),
+        Column("says", lambda checks: _says(checks[0]), words=True),
+        Column("of", lambda checks: _of(checks[0]), words=True),
+        Column("value", lambda checks: figure(checks[0].value, checks[0].about.unit)),
+        Column("open loop", truth("open", "nominal")),
+        Column("closed loop", truth("closed")),
+    )  # fmt: skip
+    return table_of(columns, _check_rows(checked), "Formulas against the truth", **look)
 
 
 def _says(check: Check) -> str:
@@ -256,14 +267,14 @@ def survey_report(survey: Survey) -> Report:
         lambda: _json(survey, said),
         findings=_survey_findings(survey), figures=_survey_key_figures(survey), heading=_survey_heading(survey),
         parts=(
-            Part("By size of the team", drawn=lambda: _charts(survey)),
-            Part("Every formula", [_survey_table(survey, *one) for one in TABLES.items()], _survey_footnotes(survey),
-            unfolded=True),
+            Section("By size of the team", figures=lambda: _charts(survey)),
+            Section("Every formula", [_survey_table(survey, *one) for one in TABLES.items()],
+                    _survey_footnotes(survey)),
         ),
         warnings=(f"Interrupted after {counted(survey.worlds, 'world')}.",) if survey.partial else (),
         settings=survey.choices.settings.described(), took=[f"{survey.seconds:.0f} s"],
         again="World number i has the seed of the first plus i. The number of processes does not change the result.",
-        pictures={"bound_against_truth.png": partial(_scatter, survey), "over_robots.png": partial(_charts, survey)},
+        pictures={"bound_against_truth.png": partial(_bounds, survey), "over_robots.png": partial(_charts, survey)},
         files={"survey.csv": lambda: _csv(survey), **_worst(survey)},
         faults=survey.faults,
     )  # fmt: skip
@@ -271,23 +282,17 @@ def survey_report(survey: Survey) -> Report:
 
 def survey_headline(survey: Survey) -> str:
     """The summary: the paper's formulas that fail on some world, and whether a proven one fails."""
-    paper = {row.check.formula for row in survey.rows if row.check.about.paper}
+    paper, ours = ({row.check.formula for row in survey.rows if row.check.about.paper is of} for of in (True, False))
     worlds = counted(survey.worlds, f"{survey.choices.kind} world")
     said = (
         f"{len(survey.failing)} of the paper's {len(paper)} formulas, counting all readings, fail on some of {worlds}"
     )
-    parts = [
+    failing = [
         f"{FORMULAS[key].title} on up to {percent(row.fails.mean)} (k = {row.robots})"
         for key, row in survey.failing.items()
     ]
-    said += f": {'; '.join(parts)}" if parts else ""
-    if survey.faults:
-        seed, robots, check = survey.faults[0]
-        more = f", {len(survey.faults)} failures in total" if len(survey.faults) > 1 else ""
-        return (
-            f"FAULT: {check.about.title} is proven, but fails on the world of seed {seed} (k = {robots}){more}. {said}."
-        )
-    return f"{said}. None of our bounds fails."
+    faults = [f"{check.about.title} (seed {seed}, k = {robots})" for seed, robots, check in survey.faults]
+    return _with_faults(said, failing, len(ours), faults)
 
 
 def _survey_heading(survey: Survey) -> list[str]:
@@ -437,10 +442,10 @@ def _charts(survey: Survey) -> tuple[Chart, Chart]:
     return failing(survey), coverage(survey)
 
 
-def _scatter(survey: Survey) -> Figure:
-    from analysis.checking.pictures import scatter_figure
+def _bounds(survey: Survey) -> list[Chart]:
+    from analysis.checking.pictures import bound_charts
 
-    return scatter_figure(survey)
+    return bound_charts(survey)
 
 
 def _worst(survey: Survey) -> dict[str, Callable[[], bytes]]:

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from analysis.comparison import Side
     from analysis.evaluation.evaluate import Evaluation
     from analysis.inputs import Task
-    from analysis.report.answer import Answer
     from analysis.report.model import Report
+    from analysis.report.result import Result
     from planner.world.world import World
 
 ANSWER, PLACE = "Answer", "Place"
@@ -188,7 +188,7 @@ def _task(given: Given, source: str) -> Task:
     return task
 
 
-def _found(search: Callable[..., Answer]) -> Any:
+def _found(search: Callable[..., Result]) -> Any:
     """The result of a search, with a progress display."""
     from analysis.utils.progress import show_progress
 

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from analysis.inputs import Asked
-    from analysis.report.answer import Answer
     from analysis.report.model import Report
+    from analysis.report.result import Result
     from analysis.utils.progress import Watch
     from planner.plan.plan import Plan
     from planner.settings import Policy
@@ -171,7 +171,7 @@ DONE, CHECK_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 def deliver(
-    answer: Answer,
+    answer: Result,
     said: Report | None = None,
     *,
     out: Path | None = None,
@@ -193,7 +193,7 @@ def deliver(
         earlier: an earlier report of it that is already printed.
     """
     from analysis.inputs import read_files
-    from analysis.report.answer import report_of, save_report
+    from analysis.report.result import report_of, save_report
     from analysis.utils.progress import show_progress
 
     report, written, unread = said or report_of(answer), list[Path](), list[BrokenPipeError]()
@@ -214,7 +214,7 @@ def deliver(
 
 def show(report: Report, as_json: bool, earlier: Report | None = None) -> None:
     """Print a report as tables or as JSON; `earlier`: as of `print_report`."""
-    from analysis.report.answer import json_of, print_report
+    from analysis.report.result import json_of, print_report
 
     if as_json:
         print_json(json_of(report))

@@ -179,7 +179,7 @@ def _lines(stream: BinaryIO) -> Iterator[str]:
 
 
 def _tell(lines: Iterable[dict[str, Any]], pace: Pace) -> None:
-    from analysis.report.answer import with_minutes
+    from analysis.report.result import with_minutes
 
     for line in lines:
         print(json.dumps(with_minutes(line, pace), allow_nan=False, separators=(",", ":")), flush=True)  # noqa: T201

@@ -92,8 +92,8 @@ def results(
             if out is not None:
                 write(opened, wanted, out)
     if plot is not None:
+        from analysis.page.charts import charts_figure
         from analysis.pictures import png_of
-        from analysis.report.rendering import charts_figure
         from planner.files import atomic_write
 
         with atomic_write(plot, "wb") as stream:

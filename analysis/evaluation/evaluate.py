@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from analysis.estimators.trial import TreeTruth, closed_truth
 from analysis.evaluation.figures import (
-    Blocks,
     Coverage,
+    Elements,
     Expected,
     Figures,
     Known,
@@ -32,7 +32,8 @@ from analysis.evaluation.outputs.information import Experience, Knowledge
 from analysis.evaluation.outputs.over_time import Band, Deadline, Turning
 from analysis.evaluation.outputs.value import Value
 from analysis.evaluation.outputs.what_if import EqualRobots, MapVariance, ThreatScale, alike
-from analysis.report.answer import Answer
+from analysis.page.elements import Run as DrawnRun
+from analysis.report.result import Result
 from analysis.sampling import (
     RolloutChoices,
     Stage,
@@ -74,14 +75,13 @@ from planner.world.world import World
 
 if TYPE_CHECKING:
     from analysis.evaluation.layers import Layers
-    from analysis.page.maps import Run as DrawnRun
 
 
 # The result of an evaluation: the plan, its exact values and bounds, and the tally of its rollouts.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Evaluation(Answer):
+class Evaluation(Result):
     """The result of the evaluation of one plan.
 
     Attributes:
@@ -124,9 +124,17 @@ class Evaluation(Answer):
         return whole
 
     @cached_property
-    def blocks(self) -> list[Blocks]:
+    def elements(self) -> list[Elements]:
         """The report elements of the outputs, in order."""
-        return [found.blocks() for found in self.outputs.values()]
+        return [found.elements() for found in self.outputs.values()]
+
+    def added(self, name: str) -> list[Any]:
+        """What the outputs add to one list of the report: a field of `Elements`."""
+        return [one for found in self.elements for one in getattr(found, name)]
+
+    def added_files(self, name: str) -> dict[str, Any]:
+        """The same of a field that is by name, such as pictures by file name."""
+        return {key: value for found in self.elements for key, value in getattr(found, name).items()}
 
     @cached_property
     def cells(self) -> dict[str, int]:
@@ -302,6 +310,11 @@ class Evaluation(Answer):
         sampled = [figure for figure in ("visited", "survived", "time", "alive") if getattr(self.exact, figure) is None]
         found = {figure: of_tally(self.tally, figure) for figure in sampled}
         return {figure: one for figure, one in found.items() if one is not None and not self.certain}
+
+    @property
+    def has_danger(self) -> bool:
+        """Whether the plan meets any danger: if not, all runs are nominal in both loops."""
+        return float(self.closed_form.stops_by_cell.sum()) > 0  # a sum, because any probability above 0 counts
 
     @property
     def losses(self) -> Losses:

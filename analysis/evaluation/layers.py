@@ -9,8 +9,8 @@ from matplotlib.colors import ListedColormap, Normalize
 from numpy.typing import NDArray
 
 from analysis.evaluation.figures import NAMES, Expected, Rest
-from analysis.page.maps import MOST_CELLS, CellLayer, Run, area_layers, chance_layers, p_text
-from analysis.pictures import LOSSES
+from analysis.page.elements import CellLayer, Run
+from analysis.page.maps import MOST_CELLS, area_layers, chance_layers, p_text
 from analysis.recording.record import Picker, parse_picks
 from analysis.sampling import RolloutChoices, make_engine_for
 from planner.formatting import counted, percent, share
@@ -58,7 +58,7 @@ def layers_of(
     rare = counted(int((expected.visited_by_cell[accessible.ravel()] < 0.5).sum()), "cell")
     covered = f" {percent(expected.visited / accessible.sum())} of the cells on average; {rare} below 50 %."
     left = CellLayer("Residual risk", "Threat times the chance that the cell is not covered.",
-                     threat.values * (1 - chance.values), LOSSES, "%", root=True, digits=2)  # fmt: skip
+                     threat.values * (1 - chance.values), "losses", "%", root=True, digits=2)  # fmt: skip
     about = f"Colour: {p_text(plan, world)}. Paths: {lines}."
     return Layers(
         replace(threat, name="The map and the plan", about=about),

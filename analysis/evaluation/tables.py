@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,19 +12,15 @@ from rich.table import Table
 
 from analysis.evaluation.evaluate import Evaluation
 from analysis.evaluation.figures import NAMES, TO_DO, Figures, Rest, Row, coverage_row, known_text
-from analysis.page.document import Chart, Series
-from analysis.report.model import CellMaps, Part, Planned
+from analysis.page.elements import CellLayer, Chart, Series
+from analysis.report.model import CellMaps, Planned, Section
 from analysis.statistics.estimates import AT_LEAST, losses_shown, of_all
 from analysis.theory.bounds import Theorem3
 from analysis.theory.verdicts import FORMULAS, MEANINGS, Verdict
-from analysis.utils.tables import make_table
+from analysis.utils.tables import Column, make_table, table_of
 from planner.formatting import at_least_text, counted, in_percent, percent
 from planner.plan.plan import drive_of
 from planner.simulator.codes import Outcome
-
-if TYPE_CHECKING:
-    from analysis.page.maps import CellLayer
-
 
 # Tables of an evaluation: probabilities, losses, time and coverage; the worst cells; the robots.
 
@@ -37,20 +32,25 @@ SAID_BY_COVERAGE = (Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST, Outcome.END_OF_PA
 
 def answer_tables(evaluation: Evaluation) -> list[Table]:
     """The tables of the figures: probabilities and time, coverage, and those of the outputs."""
-    rows = [row for found in evaluation.blocks for row in found.rows]
-    chances = [] if evaluation.certain else [_chances_table(evaluation)]
-    coverage = [] if evaluation.certain and not rows else [_coverage_table(evaluation, rows)]
-    return [*chances, *coverage, *(table for found in evaluation.blocks for table in found.tables)]
+    more, tables = evaluation.added("rows"), list[Table]()
+    if not evaluation.certain:
+        sampled = "sampled" if _shown_figures(evaluation).visited.known is None else "chance"
+        chances = list(_chance_rows(evaluation))
+        tables.append(_table(evaluation, "Chances in %, losses and time", (sampled, "95 % interval"), chances))
+    if not evaluation.certain or more:
+        columns = ("mean", "95 % interval", "5 %", "median", "95 %")
+        rows = [*_coverage_rows(evaluation), *more]
+        tables.append(_table(evaluation, "Coverage, % of the accessible cells", columns, rows))
+    return [*tables, *evaluation.added("tables")]
 
 
-def _table(evaluation: Evaluation, title: str, columns: Sequence[str]) -> Table:
+def _table(evaluation: Evaluation, title: str, columns: Sequence[str], rows: Sequence[Row]) -> Table:
     """A table with a column of names, `columns`, and the open loop's exact values (last in the closed loop)."""
-    named = ("exact", *columns) if evaluation.loop == "open" else (*columns, "open loop")
-    return make_table(("", *named), title)
-
-
-def _add(table: Table, evaluation: Evaluation, name: str, exact: str, shown: Sequence[str]) -> None:
-    table.add_row(name, *((exact, *shown) if evaluation.loop == "open" else (*shown, exact)))
+    first = evaluation.loop == "open"
+    table = make_table(("", *(("exact", *columns) if first else (*columns, "open loop"))), title)
+    for name, exact, shown in rows:
+        table.add_row(name, *((exact, *shown) if first else (*shown, exact)))
+    return table
 
 
 def _shown_figures(evaluation: Evaluation) -> Figures:
@@ -58,49 +58,37 @@ def _shown_figures(evaluation: Evaluation) -> Figures:
     return evaluation.figures if evaluation.loop == "open" else evaluation.shown
 
 
-def _coverage_table(evaluation: Evaluation, more: Sequence[Row]) -> Table:
-    """Coverage in percent, both meanings; and the outputs' rows."""
-    columns = ("mean", "95 % interval", "5 %", "median", "95 %")
-    table = _table(evaluation, "Coverage, % of the accessible cells", columns)
+def _coverage_rows(evaluation: Evaluation) -> Iterator[Row]:
+    """Coverage in percent, both meanings, of the accessible cells and of all free cells where these differ."""
     cells, found = evaluation.cells, _shown_figures(evaluation)
-    of = {"": cells["accessible"]} | (
-        {} if cells["free"] == cells["accessible"] else {", of all free cells": cells["free"]}
-    )
-    rows = [
-        coverage_row(meaning + name, getattr(found, meaning), number, getattr(evaluation.closed_form, meaning))
-        for name, number in of.items()
-        for meaning in MEANINGS
-    ]
-    for row in (*rows, *more):
-        _add(table, evaluation, *row)
-    return table
+    of = {"": cells["accessible"], ", of all free cells": cells["free"]}
+    for name, number in list(of.items())[: 1 + (cells["free"] > cells["accessible"])]:
+        for meaning in MEANINGS:
+            covered, exact = getattr(found, meaning), getattr(evaluation.closed_form, meaning)
+            yield coverage_row(meaning + name, covered, number, exact)
 
 
-def _chances_table(evaluation: Evaluation) -> Table:
+def _chance_rows(evaluation: Evaluation) -> Iterator[Row]:
     """The probabilities of coverage and of outcomes, losses, and time."""
-    found, exact = _shown_figures(evaluation), evaluation.closed_form
-    named = ("sampled" if found.visited.known is None else "chance", "95 % interval")
-    table = _table(evaluation, "Chances in %, losses and time", named)
-    chances = {f"chance to visit {100 * x:g} % or more": found.visited.at_least[x] for x in AT_LEAST[:-1]}
-    chances["chance to visit every cell"] = found.complete
-    ends = {outcome: chance for outcome, chance in found.ends.items() if outcome not in SAID_BY_COVERAGE}
-    chances |= {f"chance that it {evaluation.plan.clause_of(outcome)}": chance for outcome, chance in ends.items()}
-    for name, chance in chances.items():
-        _add(table, evaluation, name, "", chance.columns())
-    known = in_percent(exact.some_left, 2)
-    _add(table, evaluation, "chance that a robot survives", known, found.some_left.columns())
-    robots = len(evaluation.plan.robots)
-    known = "" if math.isnan(exact.expected_losses) else f"{of_all(exact.expected_losses, robots)} of {robots}"
-    _add(table, evaluation, "robots lost", known, found.losses.columns())
+    found, exact, pace = _shown_figures(evaluation), evaluation.closed_form, evaluation.world.pace
+    robots, lost = len(evaluation.plan.robots), exact.expected_losses
+    for x in AT_LEAST[:-1]:
+        yield Row(f"chance to visit {100 * x:g} % or more", "", found.visited.at_least[x].columns())
+    yield Row("chance to visit every cell", "", found.complete.columns())
+    for outcome, chance in found.ends.items():
+        if outcome not in SAID_BY_COVERAGE:
+            yield Row(f"chance that it {evaluation.plan.clause_of(outcome)}", "", chance.columns())
+    yield Row("chance that a robot survives", in_percent(exact.some_left, 2), found.some_left.columns())
+    known = "" if math.isnan(lost) else f"{of_all(lost, robots)} of {robots}"
+    yield Row("robots lost", known, found.losses.columns())
     if found.home is not None:
-        _add(table, evaluation, "robots back at base", "", losses_shown(found.home, robots))
+        yield Row("robots back at base", "", losses_shown(found.home, robots))
         for least, chance in found.home.shown.items():
-            _add(table, evaluation, f"chance that {at_least_text(least, robots)} back at base", "", chance.columns())
-    _add(table, evaluation, "time, steps", known_text(exact.mean_time, "{:,.1f}"), found.time.columns())
-    if pace := evaluation.world.pace:
+            yield Row(f"chance that {at_least_text(least, robots)} back at base", "", chance.columns())
+    yield Row("time, steps", known_text(exact.mean_time, "{:,.1f}"), found.time.columns())
+    if pace:
         known = known_text(pace.minutes * exact.mean_time, "{:,.1f}")
-        _add(table, evaluation, "time, minutes", known, found.time.columns(pace.minutes))
-    return table
+        yield Row("time, minutes", known, found.time.columns(pace.minutes))
 
 
 def worst_cells(evaluation: Evaluation) -> list[Table]:
@@ -109,15 +97,15 @@ def worst_cells(evaluation: Evaluation) -> list[Table]:
     accessible = np.flatnonzero(evaluation.accessible)
     chance, lost, threat = expected.visited_by_cell, expected.stops_by_cell, world.threat.ravel()
     least = accessible[np.argsort(chance[accessible], kind="stable")][:LISTED]
-    found = []
-    for title, cells in (("Cells that cost most robots", worst_of(lost, LISTED)), ("Cells covered least", least)):
-        table = make_table(("row", "column", "threat", "chance covered", "robots lost"), title)
-        for cell in cells.tolist():
-            row, col = divmod(cell, world.shape[1])
-            chances = (percent(float(of[cell]), 2) for of in (threat, chance))
-            table.add_row(f"{row}", f"{col}", *chances, f"{lost[cell]:.4f}")
-        found.append(table)
-    return [table for table in found if table.rows]
+    columns = (
+        Column("row", lambda cell: cell // world.shape[1]),
+        Column("column", lambda cell: cell % world.shape[1]),
+        Column("threat", lambda cell: percent(float(threat[cell]), 2)),
+        Column("chance covered", lambda cell: percent(float(chance[cell]), 2)),
+        Column("robots lost", lambda cell: f"{lost[cell]:.4f}"),
+    )
+    titled = {"Cells that cost most robots": worst_of(lost, LISTED), "Cells covered least": least}
+    return [table_of(columns, cells.tolist(), title) for title, cells in titled.items() if len(cells)]
 
 
 def worst_of(lost: NDArray[np.float64], most: int) -> NDArray[np.int64]:
@@ -129,27 +117,25 @@ def worst_of(lost: NDArray[np.float64], most: int) -> NDArray[np.int64]:
 def robots_table(evaluation: Evaluation) -> Table:
     """A row for each robot; its survival is that of its nominal path."""
     plan, survival = evaluation.plan, evaluation.closed_form.survival.tolist()
-    columns = ("robot", "start [row, col]", "moves", "quarter turns", "areas covered", "survives its nominal path")
     drive = drive_of(robot.path for robot in plan.robots)
-    table = make_table(columns, "Robots of the plan, and the chance that each ends its path", left=columns[:1])
-    for number, (robot, chance) in enumerate(zip(plan.robots, survival, strict=True)):
-        row, col = divmod(int(robot.path[0]), plan.shape[1])
-        areas = "" if plan.is_external else f"{sum(leg.kind == 'cover' for leg in robot.legs)}"
-        known = "not known" if math.isnan(chance) else percent(chance, 2)
-        table.add_row(
-            f"{number}", f"[{row}, {col}]", f"{drive.moves[number]:,}", f"{drive.turns[number]:,}", areas, known
-        )
-    return table
+    columns = (
+        Column("robot", lambda k: k, words=True),
+        Column("start [row, col]", lambda k: list(divmod(int(plan.robots[k].path[0]), plan.shape[1]))),
+        Column("moves", lambda k: f"{drive.moves[k]:,}"),
+        Column("quarter turns", lambda k: f"{drive.turns[k]:,}"),
+        Column("areas covered", lambda k: "" if plan.is_external
+               else sum(leg.kind == "cover" for leg in plan.robots[k].legs)),
+        Column("survives its nominal path", lambda k: "not known" if math.isnan(survival[k])
+               else percent(survival[k], 2)),
+    )  # fmt: skip
+    return table_of(columns, range(len(plan.robots)), "Robots of the plan, and the chance that each ends its path")
 
 
 # The paper's formulas for an evaluated plan, compared with the open loop's exact values.
 
 FORMULA_WORDS = {
-    Verdict.HOLDS: ("holds", "hold"),
-    Verdict.FAILS: ("fails", "fail"),
-    Verdict.UNDECIDED: ("is undecided", "are undecided"),
-    Verdict.VACUOUS: ("says nothing", "say nothing"),
-}
+    Verdict.HOLDS: "hold", Verdict.FAILS: "fail", Verdict.UNDECIDED: "are undecided", Verdict.VACUOUS: "say nothing",
+}  # fmt: skip
 WORDS = {
     None: "",
     Verdict.FAILS: "FAILS",
@@ -159,15 +145,15 @@ WORDS = {
 }
 
 
-def formulas_part(evaluation: Evaluation, asked: bool) -> Part:
+def formulas_part(evaluation: Evaluation, asked: bool) -> Section:
     """The section on the formulas: collapsed on a page, and omitted on a terminal, unless `asked`."""
     title, said = "The paper's formulas", formulas_text(evaluation) + "."
     if not evaluation.settled:
-        return Part(title, notes=[said], aside=not asked)
+        return Section(title, notes=[said], page_only=not asked)
     if asked:
-        return Part(title, [formulas_table(evaluation)], [eq2_text(evaluation), *[said] * (not evaluation.certain)])
-    return Part(title, [formulas_table(evaluation)], [eq2_text(evaluation)], lead=said,
-                fold="Every formula, with its verdict", aside=True)  # fmt: skip
+        return Section(title, [formulas_table(evaluation)], [eq2_text(evaluation), *[said] * (not evaluation.certain)])
+    return Section(title, [formulas_table(evaluation)], [eq2_text(evaluation)], intro=said,
+                collapsed="Every formula, with its verdict", page_only=True)  # fmt: skip
 
 
 def formula_counts(evaluation: Evaluation) -> dict[Verdict, int]:
@@ -186,12 +172,8 @@ def formulas_text(evaluation: Evaluation) -> str:
     if evaluation.plan.state is not None:
         return "The paper's formulas are omitted: they apply to whole missions, and this plan resumes one"
     counts = formula_counts(evaluation)
-    said = [
-        f"{number} {FORMULA_WORDS[verdict][number != 1]}"
-        for verdict, number in counts.items()
-        if number or verdict in (Verdict.HOLDS, Verdict.FAILS)
-    ]
-    return f"Of the paper's {sum(counts.values())} formulas for the open loop, counting all readings, {', '.join(said)}"
+    said = ", ".join(f"{number} {FORMULA_WORDS[verdict]}" for verdict, number in counts.items())
+    return f"Of the paper's {sum(counts.values())} formulas for the open loop, counting all readings, {said}"
 
 
 def formulas_table(evaluation: Evaluation) -> Table:
@@ -242,11 +224,11 @@ def over_time(evaluation: Evaluation) -> Chart:
     """Expected coverage by the end of each step, with the curves and marks of the outputs."""
     expected, cells, closed = evaluation.expected, evaluation.tally.accessible, evaluation.loop == "closed"
     makespan, exact = evaluation.plan.makespan, evaluation.closed_form
-    marks = [mark for found in evaluation.blocks for mark in found.marks]
+    marks = evaluation.added("marks")
     last = evaluation.last_shown
     # A mark far beyond the end would compress the curves, and is omitted.
     last = max([last, *(int(step) for step, _ in marks if step <= 2 * last)])
-    more = [_until(last, one) for found in evaluation.blocks for one in found.curves]
+    more = [_until(last, one) for one in evaluation.added("curves")]
     steps = np.asarray(more[0].x) if more else np.unique(np.linspace(0, last, STEPS).round().astype(np.int64))
 
     def curve(name: str, values: NDArray[np.float64], colour: int, dashed: bool = False) -> Series:
@@ -261,17 +243,13 @@ def over_time(evaluation: Evaluation) -> Chart:
     if closed and exact.is_known:
         own.append(curve("open loop, exact, visited", exact.visited_curve, 1, dashed=True))
     return Chart(
-        title="Expected coverage by the end of each step",
-        series=(*own, *more),
-        x_name=f"step{evaluation.world.pace.each}",
-        y_name="share of the accessible cells, %",
-        unit="%",
+        "Expected coverage by the end of each step", (*own, *more), f"step{evaluation.world.pace.each}",
+        "share of the accessible cells, %", unit="%", interval="5 % to 95 % of single rollouts",
         at_x=((makespan, "makespan of the plan" if closed else "makespan"), *(m for m in marks if m[0] <= last)),
         at_y=((100 * evaluation.formulas.ideal_team / cells, "upper bound, team"),) if evaluation.settled else (),
-        interval="5 % to 95 % of single rollouts",
         note="visited: entered by any robot, also one that is lost there; survived: entered by a robot that survives "
-        "the visit.",
-    )
+             "the visit.",
+    )  # fmt: skip
 
 
 def _until(last: int, series: Series) -> Series:
@@ -298,30 +276,19 @@ def distribution(evaluation: Evaluation, *, picture: bool = False) -> Sequence[C
     """
     found, cells = evaluation.figures.visited, evaluation.tally.accessible
     (at, chances), of = found.curve, "rollouts" if found.known is None else "runs"
-    sure = Chart(
-        title="Chance of at least this coverage",
-        series=(Series.of("chance", 100 * at / cells, chances),),
-        x_name="at least this share of the accessible cells, %",
-        y_name="chance, %",
-        unit="%",
-        digits=2,
-        x_digits=1,
-        y_range=(0, 100),
-        at_y=((95.0, "95 % of runs"),),
-    )
     edges = histogram_bins(found.counts)
     share = 100 * bin_counts(found.counts, edges) / int(found.counts.sum())
     shown = marks(evaluation) if picture else {"mean": found.mean.mean}
-    bars = Chart(
-        title=f"{of.capitalize()} by coverage",
-        series=(Series(f"share of {of}", 100 * (edges[1:] + edges[:-1]) / 2 / cells, share, kind="bars"),),
-        x_name=f"share of the accessible cells, % (bins of {counted(int(edges[1] - edges[0]), 'cell')})",
-        y_name=f"share of the {of}, %",
-        unit="%",
-        x_digits=1,
-        at_x=tuple((100 * value / cells, name) for name, value in shown.items()),
-    )
-    return sure, bars
+    return (
+        Chart("Chance of at least this coverage", (Series.of("chance", 100 * at / cells, chances),),
+              "at least this share of the accessible cells, %", "chance, %", unit="%", y_range=(0, 100),
+              at_y=((95.0, "95 % of runs"),)),
+        Chart(f"{of.capitalize()} by coverage",
+              (Series(f"share of {of}", 100 * (edges[1:] + edges[:-1]) / 2 / cells, share, kind="bars"),),
+              f"share of the accessible cells, % (bins of {counted(int(edges[1] - edges[0]), 'cell')})",
+              f"share of the {of}, %", unit="%",
+              at_x=tuple((100 * value / cells, name) for name, value in shown.items())),
+    )  # fmt: skip
 
 
 def marks(evaluation: Evaluation) -> dict[str, float]:
@@ -373,7 +340,7 @@ MOST_PHASES = 8
 def maps(evaluation: Evaluation) -> CellMaps:
     """Threat, probability of coverage, robots lost, residual risk, the outputs' layers, and the areas."""
     own = evaluation.layers
-    more = [make() for found in evaluation.blocks for make in found.layers.values()]
+    more = [make() for make in evaluation.added_files("layers").values()]
     layers = [*threats(evaluation), own.chance, own.losses, own.left, *more, *own.areas]
     return CellMaps(evaluation.ground, evaluation.plan.starts, layers, anchor=CELLS)
 

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from rich.table import Table
 from scipy.special import ndtri
 
-from analysis.page.document import Chart, Series
-from analysis.report.answer import json_end
-from analysis.report.model import Part, Report
+from analysis.page.elements import Chart, Series
+from analysis.report.model import Report, Section
+from analysis.report.result import json_end
 from analysis.sampling import RolloutChoices
 from analysis.statistics import variance_reduction as control_variate
 from analysis.statistics.estimates import Estimate, over_maps
@@ -533,9 +533,9 @@ def report(answer: Reproduction) -> Report:
         ],
         took=[finished.description],
         parts=(
-            Part("Statements", [_statements(answer.findings)] if answer.findings else (), [DEVIATION]),
-            Part("Points", [_report_points(figure, answer.of(figure)) for figure in over], [POINTS] if over else (),
-                 drawn=lambda: [chart for pair in charts.values() for chart in pair]),
+            Section("Statements", [_statements(answer.findings)] if answer.findings else (), [DEVIATION]),
+            Section("Points", [_report_points(figure, answer.of(figure)) for figure in over], [POINTS] if over else (),
+                 figures=lambda: [chart for pair in charts.values() for chart in pair]),
         ),
         warnings=("Interrupted: only the maps that are done.",) if finished.partial else (),
         pictures={f"{name}.png": partial(list, pair) for name, pair in charts.items()},

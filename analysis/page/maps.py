@@ -7,26 +7,27 @@ import io
 import math
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import groupby
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.colors import Colormap, ListedColormap, Normalize, PowerNorm, to_hex, to_rgb
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from PIL import Image
 
-from analysis.page.document import Html, block, label, ticks
+from analysis.page.document import Html, block
+from analysis.page.elements import CellLayer, Run
 from analysis.pictures import (
-    COVERED,
-    LOSSES,
     MOST_LEVELS,
     OBSTACLE,
     ROBOT_COLOURS,
+    SCALES,
     SHADES,
     UNREACHABLE,
     lane,
     threat_scale,
+    whole_ticks,
 )
 from analysis.utils.tables import failure_text
 from planner.files import Json
@@ -48,41 +49,6 @@ MOST_RINGS = 64
 """Most starts that are marked; more would hide the map."""
 FINE = 250
 """Cells a side above which a map is smoothed if its cells are smaller than pixels."""
-
-
-@dataclass(frozen=True, eq=False)
-class CellLayer:
-    """Values by cell.
-
-    Attributes:
-        name: its heading; about: a line below it.
-        values: float64 `[H, W]`; unit: "%" for probabilities (then 0 .. 1), else "".
-        colours: from the smallest to the largest value. root: a square-root scale, which spreads small values.
-        blocks: aggregate of a block of cells if a map is too large: "mean" or "sum".
-        top: end of the scale; None: the largest value. norm: positions of values on the scale, instead of root and top.
-        labels: values at which the scale is labelled; () for round ones.
-        digits: decimals of probabilities at the pointer; other values show the precision of their packing.
-        short: its name in the switch of layers; "": `name`.
-        names: names of the integer values 0, 1, ...; () for numbers.
-        discs: few cells have a value above 0, and a picture draws each as a disc.
-        since: first step of a threat that changes; None: the layer holds throughout.
-    """
-
-    name: str
-    about: str
-    values: NDArray[np.float64]
-    colours: Colormap
-    unit: str = ""
-    root: bool = False
-    blocks: Literal["mean", "sum"] = "mean"
-    top: float | None = None
-    norm: Normalize | None = None
-    labels: tuple[float, ...] = ()
-    digits: int = 1
-    short: str = ""
-    names: tuple[str, ...] = ()
-    discs: bool = False
-    since: int | None = None
 
 
 def cell_maps_html(
@@ -129,7 +95,8 @@ def cell_maps_html(
     sides = [
         (look, edge, int(at), cells)
         for look, edge, cells in (("row", "top", height), ("col", "left", width))
-        for at in ticks(0, cells - 1, min(cells, 5), whole=True)
+        for at in whole_ticks(4).tick_values(0, cells - 1)
+        if 0 <= at < cells
     ]
     entries = [(look, name) for look, (name, there) in key.items() if there]
     return block("cell_maps", blocked, world.shape, ringed, sides, entries, packed, above, heading, anchor, note)
@@ -140,11 +107,16 @@ def packed_layer(layer: CellLayer, free: NDArray[np.bool_], accessible: NDArray[
     return _Blocks(layer, free, accessible, 1).packed()
 
 
+def scale_of(layer: CellLayer) -> Colormap:
+    """The colours of a layer."""
+    return SCALES[layer.colours] if isinstance(layer.colours, str) else layer.colours
+
+
 class _Blocks:
     """A layer by blocks of `side` x `side` cells (usually one cell)."""
 
     def __init__(self, layer: CellLayer, free: NDArray[np.bool_], accessible: NDArray[np.bool_], side: int) -> None:
-        self.layer = layer
+        self.layer, self.colours = layer, scale_of(layer)
         self.free, self.accessible = _any(free, side), _any(accessible, side)
         sums = _sums(np.where(accessible, layer.values, 0.0), side)
         counts = _sums(accessible.astype(np.float64), side)
@@ -163,7 +135,7 @@ class _Blocks:
     def png(self) -> str:
         """One pixel a block, as a data URL; equal values give equal bytes."""
         image = Image.fromarray(self.shades())
-        scale = self.layer.colours(np.linspace(0, 1, SHADES))[:, :3]
+        scale = self.colours(np.linspace(0, 1, SHADES))[:, :3]
         palette = [*(scale * 255).round().astype(int).ravel().tolist(), *_rgb(UNREACHABLE), *_rgb(OBSTACLE)]
         image.putpalette(palette)
         out = io.BytesIO()
@@ -178,20 +150,18 @@ class _Blocks:
     @property
     def stops(self) -> str:
         """The colours of the scale, for CSS."""
-        return ",".join(to_hex(self.layer.colours(x)) for x in np.linspace(0, 1, 33))
+        return ",".join(to_hex(self.colours(x)) for x in np.linspace(0, 1, 33))
 
     def bar_words(self) -> Iterator[tuple[float, str]]:
         """Positions on the scale, 0 to 1, and labels of values, as far apart as is readable."""
         layer, last = self.layer, -1.0
         scale, unit = (100.0, " %") if layer.unit == "%" else (1.0, "")
         top = float(self.norm.vmax if self.norm.vmax is not None else 1.0) * scale
-        values = scale * np.array(layer.labels) if layer.labels else ticks(0, top, 3 if layer.root else 4)
-        gap = float(values[1] - values[0]) if len(values) > 1 else top
-        for value in values:
+        every = np.asarray(MaxNLocator(3 if layer.root else 4, steps=[1, 2, 5, 10]).tick_values(0, top))
+        for value in (scale * np.array(layer.labels) if layer.labels else every[every <= top]).tolist():
             at = float(self.norm(value / scale))
             if at - last > 0.12:
-                given = f"{value:.3g}" if layer.unit != "%" else chance(value / scale, unit="")
-                yield at, (given if layer.labels else label(float(value), gap)) + unit
+                yield at, (chance(value / scale, unit="") if layer.unit == "%" else f"{value:.3g}") + unit
                 last = at
 
     def packed(self) -> dict[str, object]:
@@ -249,9 +219,9 @@ def chance_layers(
     return [
         threat_layer(world, plan),
         CellLayer("Chance that the cell is covered", f"Visited; {known}.",
-                  visited.reshape(world.shape), COVERED, "%", top=1.0, digits=2, short="Coverage"),
+                  visited.reshape(world.shape), "covered", "%", top=1.0, digits=2, short="Coverage"),
         CellLayer("Robots lost in the cell", f"Expected number; {known}.",
-                  lost.reshape(world.shape), LOSSES, root=True, blocks="sum", short="Losses"),
+                  lost.reshape(world.shape), "losses", root=True, blocks="sum", short="Losses"),
     ]  # fmt: skip
 
 
@@ -309,24 +279,6 @@ class Tint(Normalize):
 
 RUNS_MOST_LETTERS = 600_000
 """Most characters of all runs in the page; further runs are omitted."""
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """A run of a team of `K` robots in `T - 1` steps.
-
-    Attributes:
-        name: on its button. cells: int32 `[T, K]`, cell (row * W + col) of each robot at the end of each step.
-        lost: int64 `[K]`, the step at which each robot is lost; NO_STEP.
-        movers: int64 `[T, M]`, cells of the moving threats; None: not shown.
-        seen: int32 `[N]`, the step at which each cell is first seen, NO_STEP if never; None for a known map.
-    """
-
-    name: str
-    cells: NDArray[np.int32]
-    lost: NDArray[np.int64]
-    movers: NDArray[np.int64] | None = None
-    seen: NDArray[np.int32] | None = None
 
 
 def packed_runs(runs: Sequence[Run], accessible: NDArray[np.bool_], pace: Pace = UNPACED) -> Json:

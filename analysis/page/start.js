@@ -1,5 +1,4 @@
 // Start of the interactive elements; the page is readable without them.
-for (const figure of document.querySelectorAll(".chart")) chart(figure);
 for (const group of document.querySelectorAll(".cell-maps")) maps(group);
 for (const group of document.querySelectorAll(".plan-map")) {
   player(group, layers(group));

@@ -13,7 +13,7 @@ const written = (value, digits) =>
 const dataOf = (box) => JSON.parse(box.querySelector('script[type="application/json"]').textContent);
 
 let owner = null;
-function show(whose, x, y, title, lines, below) {
+function show(whose, x, y, title, lines) {
   owner = whose;
   tip.replaceChildren(make("b", "", title), ...lines.map(([look, name, value, more]) => {
     const line = make("div"), last = make("span", "", value);
@@ -27,7 +27,6 @@ function show(whose, x, y, title, lines, below) {
   let left = x + gap, top = y - box.height - gap;
   if (left + box.width > innerWidth - 6) left = Math.max(6, x - gap - box.width);
   if (top < 6) top = Math.min(y + gap, innerHeight - box.height - 6);
-  if (below && innerWidth < 640 && below + box.height < innerHeight - 6) top = below; // never over the curve
   tip.style.left = left + "px";
   tip.style.top = Math.max(6, top) + "px";
 }
@@ -38,4 +37,4 @@ const hides = [];
 const hideAll = () => { tip.hidden = true; for (const hide of hides) hide(); };
 addEventListener("scroll", (event) => { if (event.target === document) hideAll(); }, { passive: true, capture: true });
 addEventListener("keydown", (event) => { if (event.key === "Escape") hideAll(); });
-addEventListener("pointerdown", (event) => { if (!event.target.closest(".plot, .grid-box")) hideAll(); });
+addEventListener("pointerdown", (event) => { if (!event.target.closest(".grid-box")) hideAll(); });

@@ -19,8 +19,8 @@ from rich.table import Table
 
 from analysis.inputs import EXAMPLE, input_path
 from analysis.policy_evaluation.policy_evaluation import estimate_of, roll_policy, scores_of, share_of, wanted_for
-from analysis.report.answer import Answer, json_end
-from analysis.report.model import KeyFigure, Part, Report
+from analysis.report.model import KeyFigure, Report, Section
+from analysis.report.result import Result, json_end
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.estimates import Estimate
 from analysis.theory.flow_programme import optimum
@@ -123,7 +123,7 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Leaderboard(Answer):
+class Leaderboard(Result):
     """The leaderboard.
 
     Attributes:
@@ -501,8 +501,8 @@ def report(standing: Leaderboard) -> Report:
         heading=[f"{count}, {counted(standing.rollouts, 'rollout')} each, seed {standing.seed}"],
         took=[f"{standing.seconds:.0f} s"],
         parts=[
-            Part("Ranks", [_table(RANKS, map(_ranked, standing.entries))], NOTES[:2]),
-            Part("Visited on every world, %", [_table(_columns(standing), _worlds(standing))], NOTES[2:]),
+            Section("Ranks", [_table(RANKS, map(_ranked, standing.entries))], NOTES[:2]),
+            Section("Visited on every world, %", [_table(_columns(standing), _worlds(standing))], NOTES[2:]),
         ],
         warnings=("Interrupted: only the worlds that are done.",) if standing.partial else (),
         files={

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.answer import Answer, asked, json_end, map_text, share_figure
-from analysis.report.model import KeyFigure, Part, Report
+from analysis.report.model import KeyFigure, Report, Section
+from analysis.report.result import Result, asked, json_end, map_text, share_figure
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.estimates import Z95, Estimate, mean_estimate
 from analysis.statistics.variance_reduction import Paired, difference
@@ -91,7 +91,7 @@ class Compared:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PolicyEvaluation(Answer):
+class PolicyEvaluation(Result):
     """The evaluation of a policy on a world.
 
     Attributes:
@@ -201,7 +201,7 @@ def report(judged: PolicyEvaluation) -> Report:
         heading=(map_text(judged.world, judged.cells, robots),
                  f"{counted(judged.choices.rollouts, 'rollout')}, seed {judged.choices.seed}, at most "
                  f"{judged.world.pace.steps(judged.max_steps)}"),
-        parts=[Part("Common random numbers", [table], [note, level])], pace=judged.world.pace,
+        parts=[Section("Common random numbers", [table], [note, level])], pace=judged.world.pace,
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.recording.container import Log, LogMessage, open_log
 from analysis.recording.viewers.topics import DATA_TOPICS, OWN
-from analysis.report.answer import as_json
+from analysis.report.result import as_json
 from analysis.theory.bounds import Bounds
 from planner.arguments import MAX_PLAN_BYTES, is_whole
 from planner.errors import InputError

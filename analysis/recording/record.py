@@ -19,7 +19,7 @@ from analysis.recording.frames import make_frames
 from analysis.recording.viewers import topics
 from analysis.recording.viewers.messages import rollout_messages
 from analysis.recording.viewers.topics import Clock, Message, Stage, layout_json, type_of
-from analysis.report.answer import Answer
+from analysis.report.result import Result
 from analysis.statistics.estimates import quantile
 from analysis.theory.bounds import all_bounds
 from analysis.utils.notes import Doing, ProgressCallback, quiet
@@ -298,7 +298,7 @@ class Row:
 
 
 @dataclass(eq=False, repr=False)
-class Recorded(Answer):
+class Recorded(Result):
     """The result of `record`.
 
     Attributes:

@@ -29,7 +29,7 @@ from analysis.recording.record import (
 )
 from analysis.recording.viewers import topics as schemas
 from analysis.recording.viewers.topics import DATA_TOPICS, Message, Stage, type_of
-from analysis.report.model import Part, Report
+from analysis.report.model import Report, Section
 from analysis.theory.bounds import all_bounds
 from analysis.utils.notes import ProgressCallback
 from analysis.utils.progress import announce_compilation
@@ -454,7 +454,7 @@ def report(done: Recorded) -> Report:
     return Report(
         "record", "record", str(done.path), f"{done.path}: {kept}", lambda: _recorded_json(done),
         heading=[f"{counted(done.tally.rollouts, 'rollout')} evaluated"],
-        parts=[Part("Rollouts in full", [_rollouts_table(done)])], pace=done.pace,
+        parts=[Section("Rollouts in full", [_rollouts_table(done)])], pace=done.pace,
     )  # fmt: skip
 
 
@@ -538,7 +538,7 @@ def inspected(found: Inspection, most_events: int | None) -> Report:
     """Contents, then each rollout with at most `most_events` events of its timeline (None: all)."""
     kept = f"{found.bytes / 1e6:.2f} MB, {found.seconds:g} s, written by {found.library}"
     cut = [f"incomplete log: {found.partial}"] if found.partial else []
-    parts = [Part(f"Rollout {one['rollout']}", notes=["", *_timeline(one, most_events)]) for one in found.rollouts]
+    parts = [Section(f"Rollout {one['rollout']}", notes=["", *_timeline(one, most_events)]) for one in found.rollouts]
     return Report(
         "inspect", "inspect", str(found.path), f"{found.path}: {kept}", lambda: _inspection_json(found),
         cut, heading=[_settings_line(found)], parts=[_topics(found), *parts],
@@ -564,7 +564,7 @@ def _settings_line(found: Inspection) -> str:
     )
 
 
-def _topics(found: Inspection) -> Part:
+def _topics(found: Inspection) -> Section:
     table, later = make_table(("topic", "schema", "messages"), left=("topic", "schema")), 0
     for topic, kind in found.topics.items():
         parts = topic.split("/")
@@ -574,7 +574,7 @@ def _topics(found: Inspection) -> Part:
             table.add_row(topic, kind["schema"], f"{kind['messages']:,}")
     others = [f"and {counted(later, 'topic')} like those of robot 0 for the other robots"] if later else []
     attached = ", ".join(f"{name} ({counted(size, 'byte')})" for name, size in found.attachments.items())
-    return Part("Topics", [table], [*others, f"attachments: {attached}"])
+    return Section("Topics", [table], [*others, f"attachments: {attached}"])
 
 
 def _timeline(rollout: Json, most: int | None) -> Iterator[str]:

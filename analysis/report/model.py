@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.page.document import Chart
+from analysis.page.elements import CellLayer, Chart, Run
 from planner.formatting import UNPACED, Pace
 from planner.world.world import World
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as MplFigure
     from rich.table import Table
 
-    from analysis.page.maps import CellLayer, Run
     from planner.files import Json
     from planner.plan.plan import Plan
 
@@ -63,32 +62,30 @@ class Planned:
     more: str = ""
 
 
-Drawn: TypeAlias = "Chart | CellMaps"
-Pictured: TypeAlias = "Figure | Planned | CellMaps | Sequence[Chart]"
+Figure: TypeAlias = "Chart | CellMaps"
+Pictured: TypeAlias = "MplFigure | Planned | CellMaps | Sequence[Chart]"
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class Section:
     """A section: tables, which a terminal also prints, and charts and maps, which only a page draws.
 
     Attributes:
         title: heading. tables: in order. notes: how to read them.
-        drawn: makes the charts and maps above the tables. lead: a line below the heading.
+        figures: makes the charts and maps above the tables. intro: a line below the heading.
         whole: longer tables that replace `tables` on a page.
-        unfolded: whether the first table of the page is shown in full.
-        fold: label of the control that opens the section on a page; "": the section is always open.
-        aside: the section is shown on a page only, not on a terminal.
+        collapsed: label of the control that opens the section on a page; "": the section is always open.
+        page_only: the section is not shown on a terminal.
     """
 
     title: str
     tables: Sequence[Table] = ()
     notes: Sequence[str] = ()
-    drawn: Callable[[], Sequence[Drawn]] = tuple
-    lead: str = ""
+    figures: Callable[[], Sequence[Figure]] = tuple
+    intro: str = ""
     whole: Sequence[Table] = ()
-    unfolded: bool = False
-    fold: str = ""
-    aside: bool = False
+    collapsed: str = ""
+    page_only: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +116,7 @@ class Report:
     heading: Sequence[str] = ()
     picture: Callable[[], Chart | CellMaps] | None = None
     below: Callable[[], Sequence[Chart]] = tuple
-    parts: Sequence[Part] = ()
+    parts: Sequence[Section] = ()
     notes: Sequence[str] = ()
     warnings: Sequence[str] = ()
     settings: Mapping[str, object] = field(default_factory=dict)

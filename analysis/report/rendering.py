@@ -3,58 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import ceil
-from textwrap import fill
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter
+from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
-from analysis.page.document import (
-    BARS_UP_TO,
-    Chart,
-    Html,
-    Points,
-    Section,
-    block,
-    curves_html,
-    document,
-    from_rich,
-    pictures_section,
-    points_of,
-    reproduce_section,
-    y_range_of,
-)
-from analysis.page.maps import cell_maps_html, plan_map_html
+from analysis.page.charts import chart_html, charts_figure
+from analysis.page.document import Html, PageSection, block, document, from_rich, pictures_section, reproduce_section
+from analysis.page.elements import Chart
+from analysis.page.maps import cell_maps_html, plan_map_html, scale_of
 from analysis.pictures import (
-    FAINT,
-    GRID,
     HALO,
     INK,
-    LINE_STYLES,
-    ROBOT_COLOURS,
-    WIDTH,
+    PICK,
     Key,
     cell_points,
     draw_borders,
     group_labels,
-    inches,
     map_figure,
     mark_starts,
-    new_figure,
     paint,
-    plain,
     plan_figure,
     start_handle,
     terrain_handles,
     with_key,
 )
-from analysis.report.model import CellMaps, Part, Planned, Report
+from analysis.report.model import CellMaps, Planned, Report, Section
 
 # The page of a report.
 
@@ -76,9 +54,9 @@ def page_of(report: Report, command: str, pictures: Mapping[str, bytes], files: 
     findings = [] if shown is not None else [*said, *report.notes]
     words, notes = (said, notes) if shown is not None else ([], [])
     sections = (
-        Section("Findings", block("findings", findings)),
+        PageSection("Findings", block("findings", findings)),
         *map(_section, report.parts),
-        Section("Settings", block("settings", report.heading, report.settings)),
+        PageSection("Settings", block("settings", report.heading, report.settings)),
         pictures_section(pictures),
         reproduce_section(command, files, report.again),
     )
@@ -89,21 +67,20 @@ def page_of(report: Report, command: str, pictures: Mapping[str, bytes], files: 
     )  # fmt: skip
 
 
-def _section(part: Part) -> Section:
-    tables = [from_rich(table, part.unfolded and number == 0) for number, table in enumerate(part.whole or part.tables)]
-    shown = part.drawn()
+def _section(part: Section) -> PageSection:
+    shown, tables = part.figures(), [from_rich(table) for table in part.whole or part.tables]
     drawn = _charts([one for one in shown if isinstance(one, Chart)])
     drawn += Html("").join(_html(one) for one in shown if not isinstance(one, Chart))
-    return Section(part.title, block("part", drawn, tables, part.notes), part.lead, part.fold)
+    return PageSection(part.title, block("part", drawn, tables, part.notes), part.intro, part.collapsed)
 
 
 def _charts(charts: Sequence[Chart], heading: str = "h3") -> Html:
     """The charts side by side; charts without data are omitted."""
-    return block("charts", [html for chart in charts if (html := curves_html(chart, heading))])
+    return block("charts", [html for chart in charts if (html := chart_html(chart, heading))])
 
 
 def _html(drawn: Chart | CellMaps) -> Html:
-    return curves_html(drawn) if isinstance(drawn, Chart) else _maps_html(drawn)
+    return chart_html(drawn) if isinstance(drawn, Chart) else _maps_html(drawn)
 
 
 def _maps_html(maps: CellMaps) -> Html:
@@ -116,13 +93,7 @@ def _maps_html(maps: CellMaps) -> Html:
 
 # Charts and maps as pictures for slides and papers.
 
-HIGH, ABOVE, ENTRY = 2.4, 0.85, 0.19
-"""Inches: height of a chart, space above it, height of a line of its legend."""
-LETTERS, SMALLER = 95, 125
-"""Characters over the width of a figure: of a title, and of the text below it."""
-FEW = 12
-"""Most values of x that are labelled one by one."""
-PICK, BORDER = "#b3263a", "#6b5b52"
+BORDER = "#6b5b52"
 NAMED, LONGEST = 12, 14
 """Most parts of a map that are labelled, and most characters of a label."""
 
@@ -144,7 +115,7 @@ def layer_figure(maps: CellMaps) -> Figure:
     figure, layout = map_figure(world, 5)
     axes = figure.axes[0]
     top = layer.top or float(layer.values.max()) or 1.0
-    scale = ScalarMappable(layer.norm or PowerNorm(0.5 if layer.root else 1.0, 0.0, top), layer.colours)
+    scale = ScalarMappable(layer.norm or PowerNorm(0.5 if layer.root else 1.0, 0.0, top), scale_of(layer))
     paint(axes, world, accessible, np.zeros(world.shape) if layer.discs else layer.values, scale)
     points = cell_points(axes, world.shape)
     if layer.discs:
@@ -191,69 +162,3 @@ def _middle(cells: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int6
     places = np.stack(np.divmod(cells, shape[1]), axis=1)
     middle: NDArray[np.int64] = places[np.sum((places - places.mean(axis=0)) ** 2, axis=1).argmin()]
     return middle
-
-
-def charts_figure(charts: Sequence[Chart]) -> Figure:
-    """The charts in one figure, two in a row; bars and bands are 95 % intervals unless a chart states otherwise."""
-    across = min(len(charts), 2)
-    wide = (WIDTH - 0.75 * across - 0.2) / across
-    below = 0.65 + ENTRY * max(len((*chart.series, *chart.at_x, *chart.at_y)) for chart in charts)
-    rows = ceil(len(charts) / across)
-    figure = new_figure((WIDTH, rows * (ABOVE + HIGH + below)))
-    for number, chart in enumerate(charts):
-        row, column = divmod(number, across)
-        bottom = (rows - 1 - row) * (ABOVE + HIGH + below) + below
-        _draw(figure.add_axes(inches(figure, (0.65 + column * (wide + 0.75), bottom, wide, HIGH))), chart)
-    return figure
-
-
-def _draw(axes: Axes, chart: Chart) -> None:
-    points = [one for place, series in enumerate(chart.series) if len((one := points_of(series, place)).x)]
-    for one in points:
-        _draw_series(axes, one)
-    for y, words in chart.at_y:
-        axes.axhline(y, color=FAINT, linewidth=0.8, linestyle=":", label=words)
-    drawn = {one.colour for one in points}
-    free = [one for place, one in enumerate(ROBOT_COLOURS) if place not in drawn] or ROBOT_COLOURS
-    for number, (x, words) in enumerate(chart.at_x):
-        colour = free[number % len(free)] if len(chart.at_x) > 1 else FAINT
-        axes.axvline(x, color=colour, linewidth=1.1, linestyle=LINE_STYLES[1 + number % 3], label=words)
-    places = np.unique(np.concatenate([np.empty(0), *(one.x for one in points if one.about.kind != "bars")]))
-    if 0 < len(places) <= FEW:
-        axes.xaxis.set_major_locator(FixedLocator(places.tolist()))
-        named = dict(enumerate(chart.x_words))
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: named.get(x, f"{x:.4g}")))
-    axes.set_xlabel(chart.x_name, loc="right", labelpad=2)
-    if chart.unit:
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g} {chart.unit}"))
-    if points:
-        axes.set_ylim(*y_range_of(chart, points))
-    axes.grid(axis="y", color=GRID, linewidth=0.6)
-    plain(axes)
-    interval = f"; {chart.interval}" if any(one.low is not None for one in points) else ""
-    wide = axes.get_position().width
-    title, below = fill(chart.title, int(LETTERS * wide)), fill(chart.y_name + interval, int(SMALLER * wide))
-    pad = 20 + 12 * below.count("\n")
-    axes.set_title(title, loc="left", fontsize=10.5, fontweight="bold", color=INK, pad=pad)
-    axes.annotate(below, (0, 1), (0, 7), "axes fraction", "offset points", fontsize=9, color=FAINT)
-    axes.legend(loc="upper left", bbox_to_anchor=(0, -0.16), borderaxespad=0, handlelength=2.2)
-
-
-def _draw_series(axes: Axes, one: Points) -> None:
-    about, colour = one.about, PICK if one.about.kind == "points" else ROBOT_COLOURS[one.colour]
-    line: dict[str, Any] = {"color": colour, "label": about.name, "clip_on": False}
-    if about.kind == "bars":
-        axes.bar(one.x, one.y, width=0.92 * one.bars, color=colour, label=about.name)
-        return
-    if one.low is not None and one.high is not None:
-        if len(one.x) <= BARS_UP_TO:
-            axes.vlines(one.x, one.low, one.high, color=colour, linewidth=0.9)
-        else:
-            axes.fill_between(one.x, one.low, one.high, color=colour, alpha=0.2, linewidth=0)
-    if about.kind == "points":
-        axes.plot(one.x, one.y, "D", markersize=4, **line)
-        return
-    style = LINE_STYLES[1] if about.dashed else LINE_STYLES[0]
-    marks: dict[str, Any] = {"marker": "o", "markersize": 3.2} if len(one.x) <= BARS_UP_TO else {}
-    steps = "steps-post" if about.kind == "step" else "default"
-    axes.plot(one.x, one.y, linestyle=style, linewidth=1.3, drawstyle=steps, **marks, **line)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators.trial import Measured, Trial
-from analysis.report.answer import Searched
+from analysis.report.result import Searched
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import ALPHA, TARGETS, Estimate
 from analysis.theory.verdicts import longest_mission

@@ -8,21 +8,24 @@ import numpy as np
 import yaml
 from rich.table import Table
 
-from analysis.report.answer import (
+from analysis.page.elements import CellLayer
+from analysis.report.model import CellMaps, KeyFigure, Report, Section
+from analysis.report.result import (
     asked,
     map_text,
+    pick,
     run_again,
     search_end,
     seed_text,
     share_figure,
     sourced,
     team_figure,
+    value_json,
 )
-from analysis.report.model import CellMaps, KeyFigure, Part, Report
 from analysis.search.start_positions import Place, Starts
 from analysis.search.threats import Attack, Clearing, Gain, Placed, Threat, ThreatCost, by_cell
 from analysis.statistics.estimates import between, losses_sentence, of_all
-from analysis.utils.tables import json_text, make_table, without_level
+from analysis.utils.tables import Column, in_percents, json_text, table_of, without_level
 from planner.arguments import exactly
 from planner.files import Json
 from planner.formatting import chance, counted, percent
@@ -48,7 +51,7 @@ def starts_report(starts: Starts) -> Report:
             + seed_text(starts.world, choices, starts.engine, f"{counted(starts.rolled, 'rollout')}, "
                          f"{choices.rollouts:,} of the last two{share}; "),
         ),
-        picture=maps, parts=[Part("Places", [_starts_table(starts)], _starts_footnotes(starts))], notes=starts.notes,
+        picture=maps, parts=[Section("Places", [_starts_table(starts)], _starts_footnotes(starts))], notes=starts.notes,
         settings=starts.settings.described(starts.world.pace), pace=starts.world.pace, pictures={"starts.png": maps},
         files={"plan.json": lambda: json_text(starts.plan().to_json(), compact=True)},
     )  # fmt: skip
@@ -56,17 +59,17 @@ def starts_report(starts: Starts) -> Report:
 
 def starts_summary(starts: Starts) -> str:
     """The best starts, their coverage, and the gain over the present starts, by fresh rollouts."""
-    robots, best = counted(len(starts.starts), "robot"), starts.places[starts.best]
+    robots, best, again = counted(len(starts.starts), "robot"), starts.places[starts.best], starts.confirmed
     if starts.partial:
         return f"Interrupted. Best found so far for {robots}: {best.at}."
-    shown = starts.confirmed.counted if starts.confirmed is not None else None
-    covered = "" if shown is None else f"{percent(shown.mean)} {starts.covered} on average" + " (exact)" * starts.exact
+    covered = ""
+    if again is not None and again.counted is not None:
+        covered = f"{percent(again.counted.mean)} {starts.covered} on average" + " (exact)" * starts.exact
     if starts.stay and not starts.depot:
         return f"Keep {present_starts(starts)}: no place found is significantly better; {covered}."
-    what = f"Best depot found for {robots}: {best.at}, {covered}" if starts.depot else f"Start at {best.at}: {covered}"
+    what = f"Best {'depot' if starts.depot else 'starts'} found for {robots}: {best.at}, {covered}"
     if starts.gain is None:
-        where = " These are the present starts: keep them." if starts.best == starts.here else ""
-        return f"{what}.{where}"
+        return f"{what}{', the present starts' * (starts.best == starts.here)}."
     if starts.stay:
         return f"{what}; not significantly better than {present_starts(starts)}: keep those unless a depot is needed."
     return f"{what}, {without_level(starts.gain.describe(100, ' points'))} more than from {present_starts(starts)}."
@@ -96,14 +99,12 @@ def starts_findings(starts: Starts) -> Iterator[str]:
     others = [place for place in starts.simulated if place is not best]
     if others:
         worst = min((p.counted.mean for p in others if p.counted), default=0.0)
-        number = counted(len(others), "other place")
-        said = f"No significant difference from the {number} simulated"
-        if starts.beaten:
-            of_all = "the" if starts.beaten == len(others) else f"{starts.beaten} of the"
-            said = f"Significantly better than {of_all} {number} simulated"
         of_value = "" if starts.world.value is None else " of the value"
         how = "exact" if starts.exact else "simultaneous 95 %"
-        yield f"{said} ({how}); the worst covers {percent(worst)}{of_value}."
+        yield (
+            f"Significantly better than {starts.beaten} of {counted(len(others), 'other place')} simulated ({how}); "
+            f"the worst covers {percent(worst)}{of_value}."
+        )
     if starts.words:
         yield f"run it: {command_of(starts)}"
 
@@ -135,12 +136,9 @@ def _starts_maps(starts: Starts) -> CellMaps:
     """The map of coverage by depot, for simulated depots, and of threat."""
     from matplotlib.colors import Normalize
 
-    from analysis.page.maps import CellLayer
-    from analysis.pictures import COVERED, THREAT
-
     world = starts.world
     threat = np.nan_to_num(np.where(world.accessible(starts.starts), world.threat, 0.0).astype(np.float64))
-    layers = [CellLayer("Threat", "Probability that one visit destroys the robot.", threat, THREAT, "%", digits=2)]
+    layers = [CellLayer("Threat", "Probability that one visit destroys the robot.", threat, "threat", "%", digits=2)]
     if starts.depot:
         covered, known = np.zeros(world.shape), [place for place in starts.simulated if place.counted is not None]
         for place in known:
@@ -148,7 +146,7 @@ def _starts_maps(starts: Starts) -> CellMaps:
         # The scale starts at the least simulated coverage: 0 means "not simulated".
         low, high = covered[covered > 0].min(initial=1.0), covered.max()
         about = f"Share {starts.covered} on average if all robots start in the cell; 0 where it was not simulated."
-        layers.insert(0, CellLayer("Coverage by depot", about, covered, COVERED, "%", digits=2, short="Depots",
+        layers.insert(0, CellLayer("Coverage by depot", about, covered, "covered", "%", digits=2, short="Depots",
                                    norm=Normalize(low, high if high > low else low + 0.01), discs=True,
                                    labels=tuple(np.linspace(low, high, 4 if high > low else 1))))  # fmt: skip
     return CellMaps(world, starts.starts, layers)
@@ -156,36 +154,27 @@ def _starts_maps(starts: Starts) -> CellMaps:
 
 def _starts_table(starts: Starts) -> Table:
     """The simulated places, best first."""
-    valued = starts.world.value is not None
-    columns = ("starts", "bound", "one robot", *["value, %", "from .. to"] * valued, "visited, %", "from .. to", "lost",
-               "behind, points", "rollouts", "")  # fmt: skip
-    dropped = ("one robot", "bound", "rollouts", "lost")
-    title = "Simulated on common random numbers, the best first"
-    table = make_table(columns, title, left=("starts", ""), dropped=dropped, padding=(0, 1, 0, 0))
+    valued, best = starts.world.value is not None, starts.places[starts.best]
+
+    def behind(place: Place) -> str:
+        low, high = (100 * end for end in place.behind or (0.0, 0.0))
+        return "" if place.behind is None else f"{low:.2f}" if low == high else between(low, high, 1)
+
+    columns = (
+        Column("starts", lambda p: p.at.replace(", ", ","), words=True),
+        Column("bound", lambda p: f"{p.screen:.1f}"),
+        Column("one robot", lambda p: None if p.one_robot is None else f"{p.one_robot:.1f}"),
+        in_percents("value, %", lambda p: p.value, shown=valued),
+        in_percents("visited, %", lambda p: p.coverage),
+        Column("lost", lambda p: p.losses and of_all(p.losses.mean, len(starts.starts))),
+        Column("behind, points", behind),
+        Column("rollouts", lambda p: f"{p.rollouts:,}" if p.rollouts else ""),
+        Column("", lambda p: ", ".join(["best"] * (p is best) + ["now"] * p.now), words=True),
+    )
     # The present starts are always shown, even below the cut of the table.
-    now = [place for place in starts.simulated[STARTS_SHOWN:] if place.now]
-    for place in (*starts.simulated[:STARTS_SHOWN], *now):
-        alone = "" if place.one_robot is None else f"{place.one_robot:.1f}"
-        figures: tuple[str, ...] = ("",) * (5 if valued else 3)
-        if place.coverage is not None and place.losses is not None:
-            worth = () if place.value is None else place.value.columns(100.0, 100)
-            figures = (*worth, *place.coverage.columns(100.0, 100), of_all(place.losses.mean, len(starts.starts)))
-        behind = ""
-        if place.behind is not None:
-            low, high = (100 * end for end in place.behind)
-            behind = f"{low:.2f}" if low == high else between(low, high, 1)
-        marks = ["best"] * (place is starts.places[starts.best]) + ["now"] * place.now
-        at = place.at.replace(", ", ",")
-        table.add_row(
-            at,
-            f"{place.screen:.1f}",
-            alone,
-            *figures,
-            behind,
-            f"{place.rollouts:,}" if place.rollouts else "",
-            ", ".join(marks),
-        )
-    return table
+    shown = (*starts.simulated[:STARTS_SHOWN], *(place for place in starts.simulated[STARTS_SHOWN:] if place.now))
+    return table_of(columns, shown, "Simulated on common random numbers, the best first",
+                    ("one robot", "bound", "rollouts", "lost"), padding=(0, 1, 0, 0))  # fmt: skip
 
 
 def _starts_footnotes(starts: Starts) -> list[str]:
@@ -207,19 +196,14 @@ def _starts_json(starts: Starts) -> Json:
     """
     again, here = starts.confirmed, None if starts.here is None else starts.places[starts.here]
     shown = starts.chosen if again is None else again
-    confirmed = None
-    if again is not None:
-        confirmed = {"coverage": again.coverage, "losses": again.losses, **_value(again),
-                     "first_rollout": starts.choices.rollouts}  # fmt: skip
+    first = {"first_rollout": starts.choices.rollouts}
     return {
-        "starts": starts.starts,
-        "depot": starts.depot,
+        **pick(starts, "starts depot"),
         "coverage": shown.coverage,
-        **_value(shown),
-        "stay": starts.stay,
-        "gain": starts.gain,
-        "now": None if here is None else _place_json(here, False),
-        "confirmed": confirmed,
+        **value_json(shown),
+        **pick(starts, "stay gain"),
+        "now": here and _place_json(here, False),
+        "confirmed": again and pick(again, "coverage losses") | value_json(again) | first,
         "candidates": [_place_json(place, starts.depot) for place in starts.places],
         "command": command_of(starts) if starts.words else None,
         "rolled": starts.rolled,
@@ -227,13 +211,9 @@ def _starts_json(starts: Starts) -> Json:
     }
 
 
-def _value(place: Place) -> Json:
-    return {} if place.value is None else {"value": place.value}
-
-
 def _place_json(place: Place, depot: bool) -> Json:
-    facts = {name: getattr(place, name) for name in ("screen", "one_robot", "coverage", "losses", "behind", "rollouts")}
-    return {"starts": place.starts[:1] if depot else place.starts, **facts, **_value(place)}
+    facts = pick(place, "screen one_robot coverage losses behind rollouts")
+    return {"starts": place.starts[:1] if depot else place.starts, **facts, **value_json(place)}
 
 
 # The report of `threats --remove`: the threats to remove, the gain, all threats on the map and in figures.
@@ -256,7 +236,7 @@ def clear_report(clearing: Clearing) -> Report:
             seed_text(clearing.world, choices, clearing.engine,
                        f"{counted(choices.rollouts, 'rollout')} of the last two, the same ids for all; "),
         ),
-        picture=lambda: _clear_maps(clearing), parts=[Part("Threats", [_clear_table(clearing)],
+        picture=lambda: _clear_maps(clearing), parts=[Section("Threats", [_clear_table(clearing)],
         _clear_footnotes(clearing))],
         notes=clearing.notes, settings=clearing.settings.described(clearing.world.pace), pace=clearing.world.pace,
         pictures={"clear.png": lambda: _clear_maps(clearing, 0), "risk_paid.png": lambda: _clear_maps(clearing, 2)},
@@ -276,14 +256,14 @@ def removal_summary(clearing: Clearing) -> str:
 
 def place_words(clearing: Clearing, threat: Threat) -> str:
     """A threat's name, size, probability and position."""
-    row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
+    row, col = _place(clearing, threat)
     most = "" if threat.thing is None else "at most "
     at = f"{'' if len(threat.cells) == 1 else 'from '}row {row}, column {col}"
     return f"{threat.name} ({counted(len(threat.cells), 'cell')}, {most}p = {chance(threat.p)}, {at})"
 
 
-def _clear_said(clearing: Clearing, gain: Gain | None) -> str:
-    return "" if gain is None else gain.counted.describe(unit=f" {clearing.unit}")
+def _said(search: Clearing | Attack, gain: Gain) -> str:
+    return gain.counted.describe(unit=f" {search.unit}")
 
 
 def _more(clearing: Clearing, gain: Gain | None) -> str:
@@ -297,7 +277,7 @@ def clear_findings(clearing: Clearing) -> Iterator[str]:
         yield sourced(gain.rollouts, f"after replanning, {gain.describe('more')}.")
     yield first.certainty("better to remove")
     unknown = first.best_unknown
-    most, own = (_clear_said(clearing, one.unknown) for one in (unknown, first.picked))
+    most, own = (_said(clearing, one.unknown) for one in (unknown, first.picked))
     then = "" if unknown is first.picked else f"; {first.picked.threat.name}: {own}"
     yield f"With the old plan, removing {unknown.threat.name} gains most: {most}{then}."
     for turn in clearing.turns[1:]:
@@ -321,19 +301,16 @@ def _clear_key_figures(clearing: Clearing) -> list[KeyFigure]:
 
 def _clear_maps(clearing: Clearing, only: int | None = None) -> CellMaps:
     """Maps of the gains after replanning and with the old plan, and of marginal risk by cell; `only`: one of them."""
-    from analysis.page.maps import CellLayer
-    from analysis.pictures import COVERED, LOSSES
-
     options, shape = clearing.options, clearing.world.shape
     known, unknown = by_cell(options, shape, lambda one: one.known), by_cell(options, shape, lambda one: one.unknown)
     won = f"{KINDS_OF_GAIN[clearing.unit]} gained"
     paid = "Cells lost for each percent of threat added to a cell: open loop, same paths. Not the gain of removing it."
     layers = [
-        CellLayer(f"{won}, replanned", "Gain of removing the threat in the cell; the team replans.", known, COVERED,
+        CellLayer(f"{won}, replanned", "Gain of removing the threat in the cell; the team replans.", known, "covered",
                   short="Replanned"),
-        CellLayer(f"{won}, old plan", "Gain of removing the threat; the team keeps its plan.", unknown, COVERED,
+        CellLayer(f"{won}, old plan", "Gain of removing the threat; the team keeps its plan.", unknown, "covered",
                   short="Old plan"),
-        CellLayer("Marginal risk", paid, np.maximum(clearing.risk_paid, 0.0), LOSSES, root=True, blocks="sum",
+        CellLayer("Marginal risk", paid, np.maximum(clearing.risk_paid, 0.0), "losses", root=True, blocks="sum",
                   short="Risk"),
     ]  # fmt: skip
     ranked = [one.threat for one in _ranked(clearing)] if only == 0 else []
@@ -343,24 +320,25 @@ def _clear_maps(clearing: Clearing, only: int | None = None) -> CellMaps:
 
 def _clear_table(clearing: Clearing) -> Table:
     """Every threat as the first to be removed, best first."""
-    areas = clearing.remove == "areas"
-    columns = ("threat", *["at"] * areas, "cells", "p, %", "lost in it", "bound", "replanned", "from .. to",
-               "old plan", "from .. to", "rollouts")  # fmt: skip
+    columns = (
+        Column("threat", lambda one: one.threat.name, words=True),
+        Column("at", lambda one: "{},{}".format(*_place(clearing, one.threat)), words=True,
+               shown=clearing.remove == "areas"),
+        Column("cells", lambda one: len(one.threat.cells)),
+        Column("p, %", lambda one: chance(one.threat.p, unit="")),
+        Column("lost in it", lambda one: f"{one.hits:.3f}"),
+        Column("bound", lambda one: f"{one.screen:.2f}"),
+        Column("replanned", lambda one: one.known and one.known.counted, "from .. to"),
+        Column("old plan", lambda one: one.unknown.counted, "from .. to"),
+        Column("rollouts", _rolled),
+    )  # fmt: skip
     title = f"{KINDS_OF_GAIN[clearing.unit]} gained on average by removing one threat"
-    dropped = ("rollouts", "bound", "lost in it", *["at"] * areas, "from .. to")
-    table = make_table(columns, title, left=("threat", "at"), dropped=dropped, padding=(0, 1, 0, 0))
-    for one in _ranked(clearing)[:CLEAR_SHOWN]:
-        threat, known = one.threat, one.known
-        row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
-        figures = ("", "", "") if known is None else (*_columns(known), f"{known.rollouts:,}" if known.rollouts else "")
-        table.add_row(threat.name, *[f"{row},{col}"] * areas, f"{len(threat.cells)}",
-                      chance(threat.p, unit=""), f"{one.hits:.3f}", f"{one.screen:.2f}", *figures[:2],
-                      *_columns(one.unknown), figures[2])  # fmt: skip
-    return table
+    dropped = ("rollouts", "bound", "lost in it", *["at"] * (clearing.remove == "areas"), "from .. to")
+    return table_of(columns, _ranked(clearing)[:CLEAR_SHOWN], title, dropped, padding=(0, 1, 0, 0))
 
 
-def _columns(gain: Gain) -> tuple[str, str]:
-    return gain.counted.columns()
+def _rolled(one: ThreatCost) -> str:
+    return f"{one.known.rollouts:,}" if one.known is not None and one.known.rollouts else ""
 
 
 def _ranked(clearing: Clearing) -> list[ThreatCost]:
@@ -388,20 +366,18 @@ def _clear_json(clearing: Clearing) -> Json:
         "remove": clearing.remove,
         "threats": [_clear_threat_json(one) for one in clearing.options],
         "pick": [threat.name for threat in clearing.picks],
-        "gain": None if gain is None else gain.cells.to_json() | {"first_rollout": clearing.choices.rollouts},
+        "gain": gain and gain.cells.to_json() | {"first_rollout": clearing.choices.rollouts},
         **({} if gain is None or gain.value is None else {"value_gain": gain.value}),
-        "robots_gain": None if gain is None else gain.robots,
-        "turns": [
-            {"name": turn.picked.threat.name, "known": turn.picked.known, "unknown": turn.picked.unknown}
-            for turn in clearing.turns
-        ],
+        "robots_gain": gain and gain.robots,
+        "turns": [{"name": turn.picked.threat.name} | pick(turn.picked, "known unknown") for turn in clearing.turns],
         **search_end(clearing),
     }
 
 
 def _clear_threat_json(one: ThreatCost) -> Json:
-    threat, facts = one.threat, {name: getattr(one, name) for name in ("screen", "hits", "known", "unknown", "behind")}
-    return {"name": threat.name, "cells": threat.cells, "p": float(exactly(round(threat.p, 9))), **facts}
+    threat = one.threat
+    p = float(exactly(round(threat.p, 9)))
+    return {"name": threat.name, "cells": threat.cells, "p": p} | pick(one, "screen hits known unknown behind")
 
 
 # The report of `threats --add`: the worst cells, the cost with and without knowledge of them, every cell on the map.
@@ -424,7 +400,8 @@ def attack_report(attack: Attack) -> Report:
             seed_text(attack.world, choices, attack.engine,
                        f"{counted(choices.rollouts, 'rollout')} of the last two, the same ids for all; "),
         ),
-        picture=lambda: _attack_maps(attack), parts=[Part("Cells", [_attack_table(attack)], _attack_footnotes(attack))],
+        picture=lambda: _attack_maps(attack),
+        parts=[Section("Cells", [_attack_table(attack)], _attack_footnotes(attack))],
         notes=attack.notes, settings=attack.settings.described(attack.world.pace), pace=attack.world.pace,
         pictures={"attack.png": lambda: _attack_maps(attack, 0)}
         | ({"hidden.png": lambda: _attack_maps(attack, 1)} if hidden else {}),
@@ -455,10 +432,6 @@ def _at(threats: tuple[Threat, ...]) -> str:
     return ", ".join(threat.name.removeprefix("cell ") for threat in threats)
 
 
-def _attack_said(attack: Attack, gain: Gain) -> str:
-    return gain.counted.describe(unit=f" {attack.unit}")
-
-
 def _fewer(attack: Attack, gain: Gain) -> str:
     return gain.counted.more(unit=f" {attack.unit}", words=("fewer", "more"))
 
@@ -471,8 +444,8 @@ def attack_findings(attack: Attack) -> Iterator[str]:
     known, hidden = attack.known.hidden, attack.hidden.known
     if known is not None and hidden is not None:
         yield (
-            f"Exchanged: {_at(attack.known.threats)} would cost {HIDDEN} {_attack_said(attack, known)}, "
-            f"and {_at(attack.hidden.threats)} {KNOWN} {_attack_said(attack, hidden)}."
+            f"Exchanged: {_at(attack.known.threats)} would cost {HIDDEN} {_said(attack, known)}, "
+            f"and {_at(attack.hidden.threats)} {KNOWN} {_said(attack, hidden)}."
         )
     yield f"A single threat costs {KNOWN} most in {attack.turn.picked.threat.name}. {attack.turn.certainty('worse')}"
 
@@ -487,17 +460,15 @@ def _attack_key_figures(attack: Attack) -> list[KeyFigure]:
 
 def _attack_maps(attack: Attack, only: int | None = None) -> CellMaps:
     """Maps of the cost of one threat in each cell, in both cases; `only`: one map, the worst positions outlined."""
-    from analysis.page.maps import CellLayer
-    from analysis.pictures import LOSSES
-
     options, shape = attack.turn.options, attack.world.shape
     lost = "Value lost" if attack.world.value is not None else "Cells lost"
     known = np.maximum(by_cell(options, shape, lambda one: one.known), 0.0)
     hidden = np.maximum(by_cell(options, shape, lambda one: one.unknown), 0.0)
     layers = [
         CellLayer(f"{lost}, {KNOWN}", f"By one threat of {chance(attack.p)} in the cell; the team replans.", known,
-                  LOSSES, short="Known"),
-        CellLayer(f"{lost}, {HIDDEN}", "By the same threat; the team keeps its plan.", hidden, LOSSES, short="Hidden"),
+                  "losses", short="Known"),
+        CellLayer(f"{lost}, {HIDDEN}", "By the same threat; the team keeps its plan.", hidden, "losses",
+                  short="Hidden"),
     ]  # fmt: skip
     placed = (attack.known, attack.hidden)[only or 0].threats
     parts = [] if only is None else [(threat.name.removeprefix("cell "), threat.cells, True) for threat in placed]
@@ -506,17 +477,18 @@ def _attack_maps(attack: Attack, only: int | None = None) -> CellMaps:
 
 def _attack_table(attack: Attack) -> Table:
     """The worst cells for one threat."""
-    columns = ("cell", "p there, %", "bound", "known", "from .. to", "hidden", "from .. to", "rollouts")
+    threat = attack.world.threat.reshape(-1)
+    columns = (
+        Column("cell", lambda one: one.threat.name.removeprefix("cell "), words=True),
+        Column("p there, %", lambda one: chance(float(threat[one.threat.cells[0]]), unit="")),
+        Column("bound", lambda one: None if one.screen is None else f"{one.screen:.2f}"),
+        Column("known", lambda one: one.known.counted, "from .. to"),
+        Column("hidden", lambda one: one.unknown.counted, "from .. to"),
+        Column("rollouts", _rolled),
+    )
+    shown = [one for one in attack.turn.simulated[:ATTACK_SHOWN] if one.known is not None]
     title = f"{'Cells' if attack.world.value is None else 'Value'} lost on average by one threat"
-    table = make_table(columns, title, left=("cell",), dropped=("rollouts", "bound", "from .. to"))
-    for one in attack.turn.simulated[:ATTACK_SHOWN]:
-        if one.known is not None:
-            there = float(attack.world.threat.reshape(-1)[one.threat.cells[0]])
-            bound = "" if one.screen is None else f"{one.screen:.2f}"
-            rolled = f"{one.known.rollouts:,}" if one.known.rollouts else ""
-            table.add_row(one.threat.name.removeprefix("cell "), chance(there, unit=""), bound,
-                          *one.known.counted.columns(), *one.unknown.counted.columns(), rolled)  # fmt: skip
-    return table
+    return table_of(columns, shown, title, ("rollouts", "bound", "from .. to"))
 
 
 def _attack_footnotes(attack: Attack) -> list[str]:
@@ -546,10 +518,9 @@ def _placed_json(attack: Attack, placed: Placed) -> Json:
     }
 
 
-def _place(attack: Attack, threat: Threat) -> list[int]:
-    return list(divmod(int(threat.cells[0]), attack.world.shape[1]))
+def _place(search: Clearing | Attack, threat: Threat) -> list[int]:
+    return list(divmod(int(threat.cells[0]), search.world.shape[1]))
 
 
 def _attack_threat_json(attack: Attack, one: ThreatCost) -> Json:
-    facts = {name: getattr(one, name) for name in ("screen", "known", "behind")}
-    return {"cell": _place(attack, one.threat), "hidden": one.unknown, **facts}
+    return {"cell": _place(attack, one.threat), "hidden": one.unknown, **pick(one, "screen known behind")}

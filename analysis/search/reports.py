@@ -8,23 +8,25 @@ from math import ceil
 
 from rich.table import Table
 
-from analysis.page.document import Chart, Series
-from analysis.report.answer import (
+from analysis.page.elements import Chart, Series
+from analysis.report.model import KeyFigure, Report, Section
+from analysis.report.result import (
     asked,
     json_end,
     map_text,
+    pick,
     run_again,
     search_end,
     seed_text,
     share_figure,
     sourced,
     team_figure,
+    value_json,
 )
-from analysis.report.model import KeyFigure, Part, Report
 from analysis.search.pareto import LANDMARKS, Front, Point, Setting, settings_of
 from analysis.search.team_size import TeamPoint, TeamSize, TeamVerdict
 from analysis.statistics.estimates import ALPHA, Estimate, between, losses_sentence, of_all
-from analysis.utils.tables import json_text, make_table, without_level
+from analysis.utils.tables import Column, in_percents, json_text, make_table, table_of, without_level
 from planner.arguments import argument
 from planner.files import Json
 from planner.formatting import ceiled, chance, counted, floored, in_percent, percent
@@ -39,35 +41,34 @@ def size_report(size: TeamSize) -> Report:
         lambda: _size_json(size), figures=_size_key_figures(size),
         heading=(f"{map_text(world, size.cells)}, so the target is {size.needed} of them",
                  f"{size.choices.loop} loop, {seed_text(world, size.choices, size.engine)}"),
-        picture=lambda: chart, parts=[Part("Teams", [_table(size)], _footnotes(size))], notes=size.notes,
+        picture=lambda: chart, parts=[Section("Teams", [_table(size)], _footnotes(size))], notes=size.notes,
         settings=size.settings.described(world.pace), pace=world.pace, pictures={"size.png": lambda: [chart]},
     )  # fmt: skip
 
 
 def size_summary(size: TeamSize) -> str:
     """The result in one sentence."""
+    aim, undecided = _aim(size), size.of(TeamVerdict.UNDECIDED)
     if size.partial:
-        return f"Interrupted before the answer: {_so_far(size)}."
-    undecided, goal = size.of(TeamVerdict.UNDECIDED), size.goal
-    if size.robots is None:
-        most = f"No team of up to {counted(len(size.starts), 'robot')} "
-        if size.passed_over:
-            most = f"No simulated team of up to {counted(len(size.starts), 'robot')} "
-        if undecided:
-            return f"{most}is shown to be enough for {_aim(size)}: {_listed(undecided)} undecided{_after(size)}."
-        last = size.points[-1]
-        if last.verdict is TeamVerdict.IMPOSSIBLE:
-            best = last.ideal_coverage if goal.confidence is None else last.ideal_chance
-            ideal = f"the upper bound for {last.robots} is"
-            return f"{most}can reach {_aim(size)}, whatever the policy: {ideal} {_of(best)}."
-        return f"{most}is enough for {_aim(size)}: with {last.robots}, {_figure(size, last)}."
-    found = _figure(size, size.confirmed or size.point(size.robots))
+        known = {verdict: size.of(verdict) for verdict in TeamVerdict}
+        listed = "; ".join(f"{verdict}: {_listed(numbers)}" for verdict, numbers in known.items() if numbers)
+        return f"Interrupted before the answer for {aim}: {listed or 'nothing is decided yet'}."
+    after = ""
     if undecided:
-        are = f"{_listed(undecided)} {'is' if len(undecided) == 1 else 'are'} undecided{_after(size)}"
-        return f"{_listed([*undecided, size.robots], 'or')} robots: with {size.robots}, {found}; {are}."
-    rest = "; not every smaller team was simulated" if size.passed_over else ""
-    are = "robot is" if size.robots == 1 else "robots are"
-    return f"{size.robots:,} {are} enough: {found}{rest}."
+        most = max(point.rollouts for point in size.points if point.verdict is TeamVerdict.UNDECIDED)
+        after = f"; undecided after {counted(most, 'rollout')}: {_listed(undecided)}"
+    rest = "; not every team was simulated" * bool(size.passed_over)
+    if size.robots is not None:
+        found = _figure(size, size.confirmed or size.point(size.robots))
+        return f"{counted(size.robots, 'robot is', 'robots are')} enough: {found}{after}{rest}."
+    last = size.points[-1]
+    if last.verdict is TeamVerdict.IMPOSSIBLE:
+        best = last.ideal_coverage if size.goal.confidence is None else last.ideal_chance
+        found = f"upper bound {_of(best)}, whatever the policy"
+    else:
+        found = _figure(size, last)
+    team = counted(len(size.starts), "robot")
+    return f"No team of up to {team} is shown to be enough for {aim}: with {last.robots}, {found}{after}{rest}."
 
 
 def _deciding(size: TeamSize, point: TeamPoint) -> Estimate:
@@ -82,10 +83,9 @@ def _figure(size: TeamSize, point: TeamPoint) -> str:
     low, high = estimate.ci95
     sure = "exact" if low == high else f"95 % interval {between(100 * low, 100 * high, 2, 100)}"
     sure += ", fresh rollouts" if point is size.confirmed else ""
+    what = f"chance of {_share(size)} {size.goal.meaning}"
     if size.goal.confidence is None:
         what = f"of the accessible cells {size.goal.meaning} on average"
-    else:
-        what = f"chance of {_share(size)} {size.goal.meaning}"
     return f"{_of(estimate.mean)} {what}{_by(size)} ({sure})"
 
 
@@ -108,47 +108,30 @@ def _share(size: TeamSize) -> str:
     return f"at least {chance(size.goal.target, 12)} of the accessible cells"
 
 
-def _so_far(size: TeamSize) -> str:
-    enough = [point.robots for point in size.points if point.verdict is TeamVerdict.ENOUGH]
-    short = [p.robots for p in size.points if p.verdict in (TeamVerdict.NOT_ENOUGH, TeamVerdict.IMPOSSIBLE)]
-    known = [f"{counted(min(enough), 'robot')} are enough"] if enough else []
-    known += [f"{_listed(short)} not enough"] if short else []
-    return f"for {_aim(size)}, {', '.join(known)}" if known else f"nothing is decided yet on {_aim(size)}"
-
-
 def _of(fraction: float) -> str:
     """A fraction in percent, with four digits or all given ones; a fraction below 1 is never rounded to 100 %."""
     return chance(fraction, 4)
 
 
-def _after(size: TeamSize) -> str:
-    """The rollouts of the undecided teams."""
-    most = max(point.rollouts for point in size.points if point.verdict is TeamVerdict.UNDECIDED)
-    return f" after {counted(most, 'rollout')}"
-
-
-def _listed(numbers: Sequence[int], last: str = "and") -> str:
-    """Integers in text: "7", "7 and 8", "1 to 6 and 9"."""
-    parts = []
+def _listed(numbers: Sequence[int]) -> str:
+    """Integers in text: "7", "7, 8", "1 to 6, 9"."""
+    parts = list[str]()
     for _, group in groupby(enumerate(numbers), lambda pair: pair[1] - pair[0]):
         run = [number for _, number in group]
-        parts += [f"{run[0]} to {run[-1]}"] if len(run) > 2 else [str(number) for number in run]
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} {last} {parts[-1]}"
+        parts += [f"{run[0]} to {run[-1]}"] if len(run) > 2 else map(str, run)
+    return ", ".join(parts)
 
 
 def _size_key_figures(size: TeamSize) -> list[KeyFigure]:
     if size.robots is None:
         return []
-    point = size.confirmed or size.point(size.robots)
+    point, undecided = size.confirmed or size.point(size.robots), size.of(TeamVerdict.UNDECIDED)
     fresh = ", fresh rollouts" if point is size.confirmed else ""
     name = f"{size.goal.meaning} on average" if size.goal.confidence is None else f"chance of {_target(size)}"
-    undecided = size.of(TeamVerdict.UNDECIDED)
     note = f"{_listed(undecided)} undecided" if undecided else ""
-    out = [KeyFigure(counted(size.robots, "robot"), "enough", note), share_figure(_deciding(size, point), name, fresh)]
-    if point.alive is not None:
-        alive, interval = point.alive.columns()
-        out.append(KeyFigure(f"{alive} of {size.robots}", "robots alive at the end", interval))
-    return out
+    alive = [] if point.alive is None else [team_figure(point.alive, size.robots, "robots alive at the end")]
+    enough = KeyFigure(counted(size.robots, "robot"), "enough", note)
+    return [enough, share_figure(_deciding(size, point), name, fresh), *alive]
 
 
 def _target(size: TeamSize) -> str:
@@ -161,18 +144,23 @@ def _size_chart(size: TeamSize) -> Chart:
     rolled = [point for point in size.points if point.coverage]
     unsure = [point for point in rolled if point.verdict is TeamVerdict.UNDECIDED]
     ideals = [100 * (point.ideal_chance if by_chance else point.ideal_coverage) for point in size.points]
-    curves = [
-        Series.of(f"expected coverage ({goal.meaning})", _sizes(rolled), [p.coverage for p in rolled if p.coverage]),
-        Series.of(f"chance of {_target(size)}", _sizes(rolled), [p.chance for p in rolled if p.chance]),
-        Series(f"upper bound of the {'chance' if by_chance else 'mean coverage'} for any policy", _sizes(size.points),
-               ideals, dashed=True),
-        Series.of("undecided", _sizes(unsure), [_deciding(size, point) for point in unsure], kind="points"),
-    ]  # fmt: skip
-    wanted = f"{'target chance' if by_chance else 'target'}: {chance(goal.wanted, 12)}"
-    enough = () if size.robots is None else ((size.robots, f"enough: {size.robots}"),)
+    aim = f"{chance(goal.target, 12)} expected coverage"
+    if goal.confidence is not None:
+        aim = f"a {chance(goal.confidence, 12)} chance of {_target(size)}"
+    robots = f"no team of up to {len(size.starts)}" if size.robots is None else counted(size.robots, "robot")
     return Chart(
-        _title(size), tuple(curves), "robots", f"{goal.meaning}, and chance of {_target(size)}, %",
-        unit="%", digits=2, y_range=(0, 100), at_x=enough, at_y=((100 * goal.wanted, wanted),),
+        f"Robots for {aim}: {'interrupted' if size.partial else robots}",
+        (
+            Series.of(f"expected coverage ({goal.meaning})", _sizes(rolled),
+                      [p.coverage for p in rolled if p.coverage]),
+            Series.of(f"chance of {_target(size)}", _sizes(rolled), [p.chance for p in rolled if p.chance]),
+            Series(f"upper bound of the {'chance' if by_chance else 'mean coverage'} for any policy",
+                   _sizes(size.points), ideals, dashed=True),
+            Series.of("undecided", _sizes(unsure), [_deciding(size, point) for point in unsure], kind="points"),
+        ),
+        "robots", f"{goal.meaning}, and chance of {_target(size)}, %", unit="%", y_range=(0, 100),
+        at_x=() if size.robots is None else ((size.robots, f"enough: {size.robots}"),),
+        at_y=((100 * goal.wanted, f"{'target chance' if by_chance else 'target'}: {chance(goal.wanted, 12)}"),),
     )  # fmt: skip
 
 
@@ -180,40 +168,26 @@ def _sizes(points: Sequence[TeamPoint]) -> list[int]:
     return [point.robots for point in points]
 
 
-def _title(size: TeamSize) -> str:
-    aim = f"{chance(size.goal.target, 12)} expected coverage"
-    if size.goal.confidence is not None:
-        aim = f"a {chance(size.goal.confidence, 12)} chance of {_target(size)}"
-    undecided = size.of(TeamVerdict.UNDECIDED)
-    if size.partial:
-        return f"Interrupted: robots for {aim}"
-    if size.robots is None:
-        return f"No team of up to {len(size.starts)} shown to be enough for {aim}"
-    also = "".join(f"{k} or " for k in undecided) if len(undecided) < 4 else "at most "
-    return f"{also}{counted(size.robots, 'robot')} for {aim}"
-
-
 def _table(size: TeamSize) -> Table:
-    value = ["value"] * (size.world.value is not None)
-    pace, minutes = size.world.pace, ["minutes"] * bool(size.world.pace)
-    figures = (size.goal.meaning, "interval", "chance", "interval")
-    names = ("robots", *figures, *value, "time", *minutes, "alive", "verdict")
-    table = make_table(names, left=("verdict",), dropped=("time", "alive"), padding=(0, 1, 0, 0))
+    """The simulated teams, after the last team that a bound excludes."""
+    pace = size.world.pace
     ruled_out = [point for point in size.points if point.verdict is TeamVerdict.IMPOSSIBLE]
-    if ruled_out:
-        best = ruled_out[-1]
-        sizes = "1" if len(ruled_out) == 1 else f"1..{best.robots}"
-        most = (f"<= {ceiled(of, unit='')}" for of in (best.ideal_coverage, best.ideal_chance))
-        below = (next(most), "", next(most), "")
-        table.add_row(sizes, *below, *("" for _ in (*value, *minutes)), "", "", str(best.verdict))
-    for point in size.points:
-        if point.coverage and point.chance and point.time and point.alive:
-            cells = (*point.coverage.columns(100.0, 100), *point.chance.columns(100.0, 100))
-            worth = [in_percent(point.value.mean, 2) if point.value else "" for _ in value]
-            times = [f"{pace.minutes * point.time.mean:,.1f}" for _ in minutes]
-            others = (*worth, f"{point.time.mean:.0f}", *times, of_all(point.alive.mean, point.robots))
-            table.add_row(str(point.robots), *cells, *others, str(point.verdict))
-    return table
+    shown = [*ruled_out[-1:], *(point for point in size.points if point.alive)]
+
+    def or_bound(point: TeamPoint, found: Estimate | None, bound: float) -> Estimate | str | None:
+        return f"<= {ceiled(bound, unit='')}" if point in ruled_out else found
+
+    columns = (
+        Column("robots", lambda p: f"1..{p.robots}" if p in ruled_out and p.robots > 1 else p.robots),
+        in_percents(size.goal.meaning, lambda p: or_bound(p, p.coverage, p.ideal_coverage), "interval"),
+        in_percents("chance", lambda p: or_bound(p, p.chance, p.ideal_chance), "interval"),
+        Column("value", lambda p: p.value and in_percent(p.value.mean, 2), shown=size.world.value is not None),
+        Column("time", lambda p: p.time and f"{p.time.mean:.0f}"),
+        Column("minutes", lambda p: p.time and f"{pace.minutes * p.time.mean:,.1f}", shown=pace),
+        Column("alive", lambda p: p.alive and of_all(p.alive.mean, p.robots)),
+        Column("verdict", lambda p: p.verdict, words=True),
+    )
+    return table_of(columns, shown, dropped=("time", "alive"), padding=(0, 1, 0, 0))
 
 
 def _footnotes(size: TeamSize) -> list[str]:
@@ -250,18 +224,14 @@ def _size_json(size: TeamSize) -> Json:
     goal, choices, world = size.goal, size.choices, size.world
     dangerous = world.accessible(size.starts) & (world.threat > 0)
     return {
-        "target": goal.target,
-        "confidence": goal.confidence,
-        "complete": goal.complete,
-        "meaning": goal.meaning,
-        "most": goal.most,
+        **pick(goal, "target confidence complete meaning most"),
         "deadline": size.deadline,
         "robots": size.robots,
         "starts": None if size.robots is None else size.starts[: size.robots],
         "undecided": size.of(TeamVerdict.UNDECIDED),
         "not_looked_at": size.passed_over,
         "curve": [_size_point_json(point) for point in size.points],
-        "confirmed": None if size.confirmed is None else _size_point_json(size.confirmed),
+        "confirmed": size.confirmed and _size_point_json(size.confirmed),
         "cells": {
             "total": world.threat.size,
             "free": int(world.free.sum()),
@@ -269,23 +239,21 @@ def _size_json(size: TeamSize) -> Json:
             "dangerous": int(dangerous.sum()),
             "needed": size.needed,
         },
-        "seed": choices.seed,
-        "loop": choices.loop,
+        **pick(choices, "seed loop"),
         "engine": size.engine or None,
         **json_end(size, size.notes),
     }
 
 
 def _size_point_json(point: TeamPoint) -> Json:
-    fields = {name: getattr(point, name) for name in ("coverage", "chance", "time", "alive", "rollouts")}
     return {
         "robots": point.robots,
         "verdict": str(point.verdict),
-        **fields,
+        **pick(point, "coverage chance time alive rollouts"),
         "verdict_interval": point.interval,
         "exact": point.exact,
         "ideal": {"coverage": point.ideal_coverage, "chance": point.ideal_chance},
-        **({} if point.value is None else {"value": point.value}),
+        **value_json(point),
     }
 
 
@@ -318,13 +286,13 @@ def front_report(front: Front) -> Report:
         heading=(
             f"{map_text(front.world, front.cells, robots)}; {counted(len(front.points), 'setting')}, "
             + seed_text(front.world, choices, front.engine,
-                         f"on the same {counted(choices.rollouts, 'rollout')} each, "),
+                        f"on the same {counted(choices.rollouts, 'rollout')} each, "),
         ),
         picture=lambda: over_losses,
         parts=[
-            Part("Losses and settings", [_points(front) if front.goal else prices], [_footnote(front)],
+            Section("Losses and settings", [_points(front) if front.goal else prices], [_footnote(front)],
                  whole=[prices, _points(front, whole=True)]),
-            Part("Coverage and mission time", drawn=lambda: [over_time]),
+            Section("Coverage and mission time", figures=lambda: [over_time]),
         ],
         notes=front.notes,
         settings={name: value for name, value in settings.items() if name not in ("policy", "risk_cap", "robot_value")},
@@ -341,49 +309,33 @@ def front_summary(front: Front) -> str:
     """
     if front.partial:
         return f"Interrupted after {counted(len(front.points), 'setting')}."
-    if front.goal:
-        return _picked(front)
-    said = [f"{_percent(point)} and lose {_lost(front, point)}" for point in front.priced]
-    listed = said[0] if len(said) == 1 else f"{', '.join(said[:-1])}{',' * (len(said) > 2)} or {said[-1]}"
-    return f"{_team(front)} can cover {listed}, on average{_exact(front.priced)}."
+    team, limit = counted(len(front.starts), "robot"), _limit(front)
+    if not front.goal or front.confirmed is not None:
+        points = _reported(front)
+        said = ", or ".join(f"{percent(point.coverage.mean)} and lose {_lost(front, point)}" for point in points)
+        goal = f"; the goal is {limit}" * bool(front.goal)
+        return f"{team} can cover {said}, on average{_exact(points)}{goal}."
+    if front.goal.pick([point.figures for point in front.points]) is not None:
+        return f"No setting meets the goal with confidence 0.95: {limit}. Allow a little more, or raise --rollouts."
+    best = max(front.points, key=lambda one: one.coverage.mean)
+    if front.goal.losses is not None:
+        best = min(front.points, key=lambda one: (one.losses.mean, -one.coverage.mean))
+    return f"No setting meets the goal, {limit}: the nearest is {_fresh(front, best)}, with {_named(front, best)}."
 
 
-def _team(front: Front) -> str:
-    return counted(len(front.starts), "robot")
+def _limit(front: Front) -> str:
+    goal = front.goal
+    if goal.losses is not None:
+        return f"at most {goal.losses:g} of {counted(len(front.starts), 'robot')} lost"
+    return f"{chance(goal.target or 0, 12)} or more covered"
 
 
 def _exact(points: Sequence[Point]) -> str:
     return " (exact)" * all(point.exact for point in points)
 
 
-def _picked(front: Front) -> str:
-    goal, again = front.goal, front.confirmed
-    by_losses = goal.losses is not None
-    limit = f"{chance(goal.target or 0, 12)} or more covered on average"
-    if by_losses:
-        limit = f"at most {goal.losses:g} of {_team(front)} lost on average"
-    if again is not None:
-        can = f"{_team(front)} can cover {_percent(again)} and lose {_lost(front, again)}, on average"
-        return (
-            f"{can}{_exact([again])}; the {'limit' if by_losses else 'target'} is {limit.removesuffix(' on average')}."
-        )
-    if goal.pick([point.figures for point in front.points]) is not None:
-        other = "more" if by_losses else "less"
-        return f"No setting meets the goal with confidence 0.95: {limit}. Allow a little {other}, or raise --rollouts."
-    if by_losses:
-        least = min(front.points, key=lambda one: (one.losses.mean, -one.coverage.mean))
-        fewest = of_all(least.losses.mean, len(front.starts))
-        return f"No setting meets the limit, {limit}: the fewest losses are {fewest}, with {_named(front, least)}."
-    most = max(front.points, key=lambda one: one.coverage.mean)
-    return f"No setting meets the target, {limit}: the most is {_percent(most)}, with {_named(front, most)}."
-
-
 def _named(front: Front, point: Point) -> str:
     return point.setting.describe(front.world.pace)
-
-
-def _percent(point: Point) -> str:
-    return percent(point.coverage.mean)
 
 
 def _lost(front: Front, point: Point) -> str:
@@ -401,19 +353,15 @@ def selection_lines(front: Front) -> list[str]:
     lines = [f"{_named(front, point)}: {_fresh(front, point)}{_exact([point])}." for point in reported]
     if again is not None:
         found = sourced(not again.exact, f"{_fresh(front, again)}.")
-        lines = [f"Best setting found: {_named(front, again)}. {found}", _kept(front, again)]
-    if front.tried > 1 and again is not None:
-        place = {2: "second", 3: "third"}.get(front.tried, f"{front.tried}th")
-        lines.append(f"It is the {place} setting tried on fresh rollouts; the confidence accounts for all tries.")
-    home = front.settings.return_to is not None
+        tries = f" It is number {front.tried} of the settings tried there." * (front.tried > 1)
+        lines = [f"Best setting found: {_named(front, again)}. {found}", _kept(front, again) + tries]
     if front.words and reported:
         # With three points this is the knee.
-        point = reported[(len(reported) - 1) // 2]
-        lines.append(f"run it: {command_of(front, point)}")
+        lines.append(f"run it: {command_of(front, reported[(len(reported) - 1) // 2])}")
     if again is not None and again.setting.deadline is not None:
-        end = again.setting.deadline
-        then = "robots start the return so as to be at the base by then" if home else "bring the team home then"
-        lines.append(f"The mission ends at {front.world.pace.step(end)}, and so does its plan: {then}.")
+        end = front.world.pace.step(again.setting.deadline)
+        home = "robots return to base by then" if front.settings.return_to is not None else "bring the team home then"
+        lines.append(f"The mission ends at {end}, and so does its plan: {home}.")
     return lines
 
 
@@ -424,7 +372,7 @@ def _kept(front: Front, again: Point) -> str:
     bound = f"{floored(again.least, 2)} or more is covered"
     if front.goal.losses is not None:
         bound = f"{ceil(100 * again.most) / 100:.2f} robots or fewer are lost"
-    return f"The goal is met with confidence 0.95: on average {bound}."
+    return f"The goal is met with confidence 0.95, for all tries together: on average {bound}."
 
 
 def _fresh(front: Front, point: Point) -> str:
@@ -446,11 +394,10 @@ def _front_key_figures(front: Front) -> list[KeyFigure]:
             share_figure(point.coverage, f"costs {_lost(front, point)}", f", {_named(front, point)}")
             for point in front.priced
         ]
-    steps = again.time.mean
     return [
         share_figure(again.coverage, "visited on average", "" if again.exact else ", fresh rollouts"),
         team_figure(again.losses, len(front.starts)),
-        KeyFigure(front.world.pace.steps(steps), "mean time", _named(front, again)),
+        KeyFigure(front.world.pace.steps(again.time.mean), "mean time", _named(front, again)),
     ]
 
 
@@ -458,35 +405,23 @@ def _front_chart(front: Front, which: str) -> Chart:
     """Coverage over robots lost, or over steps: a curve for each family, and the selected point as a mark."""
     goal, robots = front.goal, which == "losses"
     # Points far below the front would only stretch the axes.
-    least = min(front.points[place].coverage.mean for place in _cheap(front))  # points below are far from the front
+    least = min(front.points[place].coverage.mean for place in _cheap(front))
     seen = [point for point in front.points if point.coverage.mean >= least]
-    shown = [(name, [p for p in seen if p.setting.family == family]) for family, name in TITLES.items()]
-    shown.append((SELECTED, [] if front.picked is None else [front.picked]))
-    limit = ((goal.losses, f"at most {goal.losses:g} lost"),) if robots and goal.losses is not None else ()
+    shown = {name: [p for p in seen if p.setting.family == family] for family, name in TITLES.items()}
+    shown[SELECTED] = [] if front.picked is None else [front.picked]
     return Chart(
-        title="Coverage and robots lost" if robots else "Coverage and mission time",
-        series=tuple(
-            Series.of(
-                name,
-                [getattr(point, which).mean for point in points],
-                [point.coverage for point in points],
-                kind="points" if name == SELECTED else "line",
-            )
-            for name, points in shown
-            if points
+        "Coverage and robots lost" if robots else "Coverage and mission time",
+        tuple(
+            Series.of(name, [getattr(point, which).mean for point in points], [point.coverage for point in points],
+                      kind="points" if name == SELECTED else "line")
+            for name, points in shown.items() if points
         ),
-        x_name="robots lost on average" if robots else f"steps on average{front.world.pace.each}",
-        y_name="visited, % of the accessible cells",
-        unit="%",
-        digits=2,
-        x_digits=2 if robots else 0,
-        x_whole=not robots,
-        y_range=(0, 100),
-        fit=True,
-        at_x=limit,
+        "robots lost on average" if robots else f"steps on average{front.world.pace.each}",
+        "visited, % of the accessible cells", unit="%", y_range=(0, 100), fit=True,
+        at_x=((goal.losses, f"at most {goal.losses:g} lost"),) if robots and goal.losses is not None else (),
         at_y=() if goal.target is None else ((100 * goal.target, f"{chance(goal.target, 12)} target"),),
-        note="Farther up and to the left is better. Click a name to hide a curve.",
-    )
+        note="Farther up and to the left is better.",
+    )  # fmt: skip
 
 
 def _prices(front: Front) -> Table:
@@ -508,23 +443,30 @@ def _price(front: Front, point: Point) -> str:
 
 def _points(front: Front, whole: bool = False) -> Table:
     """The Pareto front of coverage and losses, and the selected point; `whole`: all settings."""
-    valued, pace = front.world.value is not None, front.world.pace
-    columns = ("policy", "risk cap", "robot value", "ends at", "visited, %", "from .. to", *["value, %"] * valued,
-               "lost", "from .. to", "steps", *["minutes"] * bool(pace), "")  # fmt: skip
+    pace, picked = front.world.pace, front.picked
+    best = {id(point) for point, efficient in zip(front.points, front.efficient, strict=True) if efficient and whole}
+
+    def limit(value: float | None) -> str:
+        return "" if value is None else f"{value:g}"
+
+    def end(step: int | None) -> str:
+        return "" if step is None else f"{step:,}{pace.also(step)}"
+
+    columns = (
+        Column("policy", lambda p: p.setting.policy, words=True),
+        Column("risk cap", lambda p: limit(p.setting.risk_cap)),
+        Column("robot value", lambda p: limit(p.setting.robot_value)),
+        Column("ends at", lambda p: end(p.setting.deadline)),
+        in_percents("visited, %", lambda p: p.coverage),
+        Column("value, %", lambda p: p.value and in_percent(p.value.mean, 2), shown=front.world.value is not None),
+        Column("lost", lambda p: p.losses, "from .. to"),
+        Column("steps", lambda p: f"{p.time.mean:,.0f}"),
+        Column("minutes", lambda p: f"{pace.minutes * p.time.mean:,.1f}", shown=pace),
+        Column("", lambda p: "selected" if p is picked else "efficient" if id(p) in best else "", words=True),
+    )
+    shown = front.points if whole else sorted((front.points[at] for at in _cheap(front)), key=lambda p: p.losses.mean)
     title = "All settings" if whole else "Pareto front of coverage and robots lost"
-    dropped = ("steps", "from .. to", "from .. to")
-    table = make_table(columns, title, left=("policy", ""), dropped=dropped, padding=(0, 1, 0, 0))
-    shown = range(len(front.points)) if whole else sorted(_cheap(front), key=lambda at: front.points[at].losses.mean)
-    for place in shown:
-        point, setting = front.points[place], front.points[place].setting
-        limits = ("" if value is None else f"{value:g}" for value in (setting.risk_cap, setting.robot_value))
-        end = "" if setting.deadline is None else f"{setting.deadline:,}{pace.also(setting.deadline)}"
-        worth = () if point.value is None else (in_percent(point.value.mean, 2),)
-        times = (f"{point.time.mean:,.0f}", *[f"{pace.minutes * point.time.mean:,.1f}"] * bool(pace))
-        figures = (*point.coverage.columns(100.0, 100), *worth, *point.losses.columns(), *times)
-        mark = "selected" if place == front.pick else "efficient" if whole and front.efficient[place] else ""
-        table.add_row(setting.policy, *limits, end, *figures, mark)
-    return table
+    return table_of(columns, shown, title, ("steps", "from .. to", "from .. to"), padding=(0, 1, 0, 0))
 
 
 def _cheap(front: Front) -> list[int]:
@@ -553,8 +495,8 @@ def _front_json(front: Front) -> Json:
             for point, best in zip(front.points, front.efficient, strict=True)
         ],
         "pick": front.pick,
-        "asked": {"losses": front.goal.losses, "target": front.goal.target},
-        "confirmed": None if again is None else _front_point_json(again) | sure,
+        "asked": pick(front.goal, "losses target"),
+        "confirmed": again and _front_point_json(again) | sure,
         "fresh": [_front_point_json(point) | {"first_rollout": front.choices.rollouts} for point in front.priced],
         "command": command_of(front, again) if again is not None and front.words else None,
         **search_end(front),
@@ -562,5 +504,4 @@ def _front_json(front: Front) -> Json:
 
 
 def _front_point_json(point: Point) -> Json:
-    figures = {name: getattr(point, name) for name in ("coverage", "losses", "time")}
-    return point.setting._asdict() | figures | ({} if point.value is None else {"value": point.value})
+    return point.setting._asdict() | pick(point, "coverage losses time") | value_json(point)

@@ -23,7 +23,7 @@ from scipy import ndimage
 
 from analysis.estimators.racing import Halving, check_search, screened
 from analysis.estimators.trial import Measured, Trial
-from analysis.report.answer import Searched
+from analysis.report.result import Searched
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import Estimate
 from analysis.theory.bounds import best_survival

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators.trial import Measured, Trial
-from analysis.report.answer import Answer
+from analysis.report.result import Result
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import TARGETS, Estimate, error_share, exactly, is_at_least, looks
 from analysis.theory.exact import CellValues
@@ -243,7 +243,7 @@ class TeamPoint:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TeamSize(Answer):
+class TeamSize(Result):
     """The result of `size`.
 
     Attributes:

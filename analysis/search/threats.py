@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from analysis.estimators.racing import Halving, check_search, screened
 from analysis.estimators.trial import Measured, Trial, alike
-from analysis.report.answer import Searched
+from analysis.report.result import Searched
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import Estimate
 from analysis.theory.bounds import reach_chances

@@ -18,7 +18,7 @@ from scipy.special import bdtr, bdtrik, betaincinv, ndtri, stdtrit
 
 from planner.arguments import MOST_ROLLOUTS, Numbers
 from planner.files import Json
-from planner.formatting import NOTHING, inside, percent
+from planner.formatting import NOTHING, counted, inside, percent
 from planner.tally import Tally
 
 # Simultaneous confidence intervals for means and probabilities, for any number of rollouts.
@@ -136,23 +136,9 @@ def in_unit(interval: str, unit: str = " %") -> str:
     return f"{ends}{unit}{word}{rest}{comma}{how}"
 
 
-def lost_text(mean: float, robots: int, digits: int = 2) -> str:
-    """A mean number of lost robots: "1.87 of 5", "all 5"; a value near none or all is not rounded to it.
-
-    One decimal at least, two if one would give none or all; "almost" if two are not sufficient.
-    """
-    all_of_them = {1: "the robot", 2: "both robots"}.get(robots, f"all {robots}")
-    if mean in (0, robots):
-        return all_of_them if mean else f"none of {robots}"
-    if min(near := round(mean, 2), robots - near) <= 0:
-        return f"almost {'always ' * (robots == 1)}{all_of_them}" if near else f"almost none of {robots}"
-    return f"{of_all(mean, robots, digits)} of {robots}"
-
-
 def robots_text(mean: float, robots: int, digits: int = 2) -> str:
-    """`lost_text` with the noun: "no robot", "both robots", "all 5 robots", "1.87 of 5 robots"."""
-    words = lost_text(mean, robots, digits) if mean else "no robot"
-    return words if words.endswith(("robot", "robots")) else f"{words} robot{'s' * (robots != 1)}"
+    """A mean number of robots: "1.87 of 5 robots"; a value near none or all is not rounded to it (`of_all`)."""
+    return f"{of_all(mean, robots, digits)} of {counted(robots, 'robot')}"
 
 
 def of_all(mean: float, robots: int, digits: int = 2) -> str:
@@ -490,23 +476,14 @@ TARGETS = Numbers(0, 1, "a fraction of the accessible cells", above=True)
 """Valid targets of coverage."""
 
 
-def difference_text(more: Estimate, costs: str, instead: str, other: str = "more") -> str:
-    """ "not knowing it costs 4.1 points ± 0.2 (95 %)"; below 0: "robots that do not know it visit 0.5 points more"."""
-    if more.mean >= 0:
-        return f"{costs} {more.describe(100, ' points')}"
-    return f"{instead} {more.negated.describe(100, f' points {other}')}"
-
-
 def losses_sentence(losses: Estimate, robots: int, *, mean_only: bool = False) -> str:
-    """`losses_shown` in a sentence: "all 4 robots", "no robot", "0.67 ± 0.01 (95 %) robots".
+    """`losses_shown` in a sentence: "0.67 ± 0.01 (95 %) robots".
 
     `mean_only`: "0.67 robots", with the decimals that the interval allows, one at least.
     """
-    words = robots_text(losses.mean, robots, digits := min(losses.digits(), 2))
-    if not words[0].isdigit():
-        return words
-    mean = of_all(losses.mean, robots, digits) if mean_only else losses.describe(most=robots, least=1, less="fewer")
-    return f"{mean} robots"
+    if mean_only:
+        return f"{of_all(losses.mean, robots, min(losses.digits(), 2))} robots"
+    return f"{losses.describe(most=robots, least=1, less='fewer')} robots"
 
 
 def losses_shown(losses: Estimate, robots: int) -> tuple[str, str]:

@@ -33,10 +33,11 @@ from tornado.web import Application, HTTPError, RequestHandler
 from analysis.estimators.racing import with_eyes
 from analysis.estimators.trial import Measured, alike, closed_truth
 from analysis.page.document import TEMPLATES, Html, asset, page_head, policy, whole_script
-from analysis.page.maps import STEPS, CellLayer, packed_layer, path_lines, thickness
+from analysis.page.elements import CellLayer
+from analysis.page.maps import STEPS, packed_layer, path_lines, thickness
 from analysis.pictures import COVERED, FOG, LOSSES, OBSTACLE, SAFE, SHADES, THREAT, UNREACHABLE
 from analysis.sampling import RolloutChoices, make_roll_out
-from analysis.statistics.estimates import Estimate, losses_shown, lost_text
+from analysis.statistics.estimates import Estimate, losses_shown, robots_text
 from analysis.statistics.estimates import exactly as exact_estimate
 from analysis.statistics.variance_reduction import tally_mean
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
@@ -266,8 +267,7 @@ def headline(robots: int, mean: Estimate, losses: Estimate, alone: bool = False)
     covers = f"{counted(robots, 'robot covers', 'robots cover')} {without_level(coverage(mean))} of accessible cells"
     if alone:
         covers = f"In the open loop, {counted(robots, 'robot')} would cover {without_level(coverage(mean))}"
-    lost = lost_text(losses.mean, robots, min(losses.digits(), 2))
-    return f"{covers}; {lost} {'is' if robots == 1 else 'are'} lost."
+    return f"{covers}; {robots_text(losses.mean, robots, min(losses.digits(), 2))} lost."
 
 
 def coverage(mean: Estimate) -> str:
@@ -286,7 +286,7 @@ def page_figures(
         Figure(lost, "robots lost", sure),
     ]
     if exact is not None:
-        alone = f"exact; {lost_text(exact.expected_losses, robots)} lost"
+        alone = f"exact; {robots_text(exact.expected_losses, robots)} lost"
         found.append(Figure(percent(exact.visited / cells, 2), "covered in the open loop", alone))
     return found
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-from analysis.report.answer import Answer
+from analysis.report.result import Result
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import (
     RULES,
@@ -107,7 +107,7 @@ class Finished:
         return f"{self.seconds:.0f} s: {counted(self.rollouts, 'rollout')} run, {self.reused:,} from the store"
 
 
-class Swept(Answer):
+class Swept(Result):
     """A result of a sweep; `finished`: its summary."""
 
     finished: Finished

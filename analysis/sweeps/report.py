@@ -10,9 +10,9 @@ from typing import Any
 
 from rich.table import Table
 
-from analysis.page.document import CURVE_COLOURS as COLOURS
-from analysis.page.document import Chart, Series
-from analysis.report.model import Part, Report
+from analysis.page.elements import CURVE_COLOURS as COLOURS
+from analysis.page.elements import Chart, Series
+from analysis.report.model import Report, Section
 from analysis.statistics.estimates import Estimate
 from analysis.sweeps.cases import RULES, Label, format_label
 from analysis.sweeps.results import DIFFERENCES, EXACT, FIGURES, FRACTIONS, Results, Row
@@ -123,7 +123,7 @@ def notes_of(sweep: Sweep) -> list[str]:
     return notes
 
 
-def _rows_part(rows: Sequence[Row], charted: bool = False) -> Part:
+def _rows_part(rows: Sequence[Row], charted: bool = False) -> Section:
     """The table with its notes; `charted`: with curves on a page."""
     notes, counts = list[str](), {(row.maps, row.rollouts) for row in rows}
     if len(counts) == 1:
@@ -138,7 +138,7 @@ def _rows_part(rows: Sequence[Row], charted: bool = False) -> Part:
         notes.append(f"... and {len(rows) - SHOWN_ROWS:,} more: --csv and --json have all")
     whole = [rows_table(rows[:PAGE_ROWS])] if len(rows) > SHOWN_ROWS else []
     drawn = partial(_charts, rows, CHARTS) if charted and len(lines_of(rows)[2]) < len(rows) else tuple
-    return Part("Results", [rows_table(rows[:SHOWN_ROWS])], notes, drawn=drawn, whole=whole)
+    return Section("Results", [rows_table(rows[:SHOWN_ROWS])], notes, figures=drawn, whole=whole)
 
 
 def rows_table(rows: Sequence[Row]) -> Table:
@@ -187,12 +187,11 @@ def rows_chart(rows: Sequence[Row], figure: str) -> Chart:
                   dashed=number >= COLOURS)
         for number, (name, points) in enumerate(list(lines.items())[:MOST_LINES])
     )  # fmt: skip
-    whole, maps = all(at == int(at) for points in lines.values() for at, _ in points), [row.maps for row in rows]
+    maps = [row.maps for row in rows]
     over = "mean over " + (f"{min(maps):,} to " if min(maps) < max(maps) else "") + counted(max(maps), "map")
     more = f"; {len(lines) - MOST_LINES} further lines are omitted" if len(lines) > MOST_LINES else ""
-    look: dict[str, Any] = {"unit": "%", "digits": 2, "y_range": (0.0, 100.0)} if figure in PERCENT else {}
-    return Chart(NAMES[figure], series, axis.replace("_", " "), over + more, x_whole=whole,
-                 x_digits=0 if whole else 2, x_words=words, **look)  # fmt: skip
+    look: dict[str, Any] = {"unit": "%", "y_range": (0.0, 100.0)} if figure in PERCENT else {}
+    return Chart(NAMES[figure], series, axis.replace("_", " "), over + more, x_words=words, **look)
 
 
 def lines_of(rows: Sequence[Row]) -> tuple[str, tuple[str, ...], dict[str, list[tuple[float, Row]]]]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from analysis.report.answer import Answer
+from analysis.report.result import Result
 from analysis.statistics.estimates import MISSED, Z95, Estimate
 from analysis.statistics.variance_reduction import (
     BESIDE,
@@ -397,7 +397,7 @@ Where = dict[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Results(Answer):
+class Results(Result):
     """The rows in order of their labels, the labels that every run shares, and notes.
 
     Attributes:

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -134,6 +134,50 @@ def make_table(
     table.dropped = tuple(dropped)
     for name in columns:
         table.add_column(name, justify="left" if name in left else "right")
+    return table
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table whose rows are objects: a title, and the cell of a row.
+
+    Attributes:
+        title: its header. of: the cell of a row: text, a number, None (empty), or an estimate, which has two columns.
+        interval: header of an estimate's interval; "": the mean alone. scale, most: as in `Estimate.columns`.
+        words: left-aligned. shown: False leaves the column out.
+    """
+
+    title: str
+    of: Callable[[Any], Any]
+    interval: str = ""
+    scale: float = 1.0
+    most: int | None = None
+    words: bool = False
+    shown: object = True
+
+    def cells(self, row: Any) -> tuple[str, ...]:
+        """The cell of a row, with its interval if the column has one."""
+        value, more = self.of(row), ("",) * bool(self.interval)
+        if hasattr(value, "columns"):
+            mean, interval = value.columns(self.scale, self.most)
+            return (mean, interval) if self.interval else (mean,)
+        return ("" if value is None else str(value), *more)
+
+
+def in_percents(title: str, of: Callable[[Any], Any], interval: str = "from .. to", **look: Any) -> Column:
+    """A column of an estimate of a fraction, in percent, with its interval."""
+    return Column(title, of, interval, 100.0, 100, **look)
+
+
+def table_of(
+    columns: Iterable[Column], rows: Iterable[Any], title: str | None = None, dropped: Iterable[str] = (), **look: Any
+) -> FittedTable:
+    """A table of objects; arguments as in `make_table`."""
+    shown = [column for column in columns if column.shown]
+    names = [name for column in shown for name in (column.title, *[column.interval] * bool(column.interval))]
+    table = make_table(names, title, left=[one.title for one in shown if one.words], dropped=dropped, **look)
+    for row in rows:
+        table.add_row(*(cell for column in shown for cell in column.cells(row)))
     return table
 
 

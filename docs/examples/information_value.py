@@ -11,9 +11,9 @@ from typing import Any, get_args
 from by_map import MAP_FIGURES, ByMap, Columns
 from rich.table import Table
 
-from analysis.page.document import Chart, Series
-from analysis.report.answer import json_end
-from analysis.report.model import Part, Report
+from analysis.page.elements import Chart, Series
+from analysis.report.model import Report, Section
+from analysis.report.result import json_end
 from analysis.statistics.estimates import Estimate, over_maps
 from analysis.sweeps.cases import Case, Generated, canonical, check_maps
 from analysis.sweeps.engine import Finished, Swept
@@ -217,8 +217,8 @@ def report(study: Study) -> Report:
         ],
         took=[finished.description],
         parts=(
-            Part("Coverage", [ways_table(study)], drawn=lambda: [one for pair in charts.values() for one in pair]),
-            Part("What lies between", [less_table(study), gains_table(study)], [NOTE]),
+            Section("Coverage", [ways_table(study)], figures=lambda: [one for pair in charts.values() for one in pair]),
+            Section("What lies between", [less_table(study), gains_table(study)], [NOTE]),
         ),
         warnings=("Interrupted: the maps that were done.",) if finished.partial else (),
         pictures={f"{policy}.png": partial(list, pair) for policy, pair in charts.items()},

@@ -14,9 +14,9 @@ from by_map import MAP_FIGURES, ByMap, Columns
 from numpy.typing import NDArray
 from rich.table import Table
 
-from analysis.page.document import Chart, Series
-from analysis.report.answer import json_end
-from analysis.report.model import Part, Report
+from analysis.page.elements import Chart, Series
+from analysis.report.model import Report, Section
+from analysis.report.result import json_end
 from analysis.statistics.estimates import Estimate, over_maps
 from analysis.sweeps.cases import Case, check_maps, generated_case
 from analysis.sweeps.engine import Finished, Swept
@@ -251,9 +251,9 @@ def report(study: Study) -> Report:
         ],
         took=[finished.description],
         parts=(
-            Part("Gains", [gains_table(study)], drawn=lambda: gains),
-            Part("Coverage against losses", [front_table(study, robots) for robots in FRONT_TEAMS],
-                 [*_worse_lines(study), *NOTES, *_exact_lines(study)], drawn=lambda: charts),
+            Section("Gains", [gains_table(study)], figures=lambda: gains),
+            Section("Coverage against losses", [front_table(study, robots) for robots in FRONT_TEAMS],
+                 [*_worse_lines(study), *NOTES, *_exact_lines(study)], figures=lambda: charts),
         ),
         warnings=("Interrupted: the maps that were done.",) if finished.partial else (),
         pictures={"gains.png": lambda: gains}
@@ -279,7 +279,7 @@ def _front(study: Study, robots: int, kind: Kind) -> Chart:
         seen = [100 * study.estimate(setting, "visited").mean for setting in settings]
         series.append(Series(name, lost[::-1], seen[::-1], dashed=name != "per_cell with a worth"))
     title = f"Coverage against losses, {counted(robots, 'robot')}, {kind}"
-    return Chart(title, tuple(series), "robots lost", "covered", unit="%", y_range=(0.0, 100.0), x_digits=1)
+    return Chart(title, tuple(series), "robots lost", "covered", unit="%", y_range=(0.0, 100.0))
 
 
 def headline(study: Study) -> str:

@@ -15,8 +15,8 @@ from typing import Self
 import numpy as np
 
 from analysis.comparison import Side, compare
-from analysis.evaluation.figures import Blocks, Output, Run
-from analysis.page.document import Chart, Series
+from analysis.evaluation.figures import Elements, Output, Run
+from analysis.page.elements import Chart, Series
 from analysis.search.pareto import Figures, Goal, Point, Setting, efficient, knee, quick_points, settings_of
 from analysis.statistics.estimates import Estimate, exactly, losses_sentence
 from analysis.statistics.variance_reduction import tally_mean
@@ -139,16 +139,16 @@ class Advice(Output):
         chosen = front[self.points.index(self.advised)]
         return {**chosen, "difference": self.difference.to_json(), "rollouts": self.rollouts, "front": front}
 
-    def blocks(self) -> Blocks:
+    def elements(self) -> Elements:
         below = [self.chart()] if self.points else []
         if self.advised is None:
-            return Blocks(below=below)
+            return Elements(below=below)
         tried = counted(len(self.points), "other setting")
         note = (
             f"{_as_asked(self.advised.setting)} is the best of {tried} ({self.rollouts:,} rollouts "
             "each, common random numbers); `mrac-jax front` compares more."
         )
-        return Blocks(alternatives=list(self._sentences()), notes=[note], below=below)
+        return Elements(alternatives=list(self._sentences()), notes=[note], below=below)
 
     def chart(self) -> Chart:
         """The Pareto-optimal settings as a curve of coverage over losses, and the plan as a point."""
@@ -161,7 +161,7 @@ class Advice(Output):
         mark = Series.of(f"this plan ({setting})", [losses.mean], [coverage], kind="points", colour=3)
         return Chart(
             "Coverage and losses", (curve, mark), "robots lost on average", "visited, % of the accessible cells",
-            unit="%", x_digits=2, x_whole=False, y_range=(0, 100), fit=True,
+            unit="%", y_range=(0, 100), fit=True,
             note="Farther up and to the left is better.",
         )  # fmt: skip
 
@@ -182,10 +182,7 @@ class Advice(Output):
         yield f"{said}."
 
     def _lost(self, losses: Estimate) -> str:
-        if losses.mean == 0:
-            return "no robot" if losses.ci95[1] == 0 else f"no robot in {self.rollouts:,} runs"
-        said = losses_sentence(losses, self.robots, mean_only=True)
-        return f"{said} on average" if said[0].isdigit() else said
+        return f"{losses_sentence(losses, self.robots, mean_only=True)} on average"
 
 
 def _covered(coverage: Estimate) -> str:

@@ -12,30 +12,27 @@ from functools import cached_property
 from importlib.util import find_spec
 from itertools import pairwise
 from math import inf, isinf
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators.racing import only, sample_with_known_hazards, sample_with_known_maps, with_eyes
 from analysis.estimators.trial import Measured, Sampled, Trial, alike
-from analysis.evaluation.figures import Blocks, Output, Run
-from analysis.page.document import Chart, Series
-from analysis.statistics.estimates import Estimate, difference_text
-from analysis.utils.tables import make_table
+from analysis.evaluation.figures import Elements, Output, Run, against, team_json, team_table
+from analysis.page.elements import CellLayer, Chart, Series
+from analysis.statistics.estimates import Estimate
+from analysis.utils.tables import Column
 from planner.arguments import argument, numbers_of
 from planner.errors import UsageError
 from planner.files import Json
-from planner.formatting import counted, percent
+from planner.formatting import counted
 from planner.make_plan import allocated_plan
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop, final_odds
 from planner.world.map_knowledge import RANGE, Sense, chance_of
 from planner.world.uncertain_maps import Hazard, Uncertain
 from planner.world.world import World
-
-if TYPE_CHECKING:  # it takes matplotlib
-    from analysis.page.maps import CellLayer
 
 MOST_RANGES = 20
 LEAST = 1024
@@ -71,16 +68,11 @@ class Team:
 
     def as_json(self) -> Json:
         """The JSON object of the figures."""
-        figures = {"coverage": self.coverage, "losses": self.found.mean("lost"), "time": self.found.mean("time")}
-        return {"range": _as_json(self.range)} | {name: value.to_json() for name, value in figures.items()}
+        return {"range": "inf" if isinf(self.range) else self.range} | team_json(self.found)
 
 
 def _sees(far: float) -> str:
     return "no sensor" if far == 0 else f"sensor range {'unlimited' if isinf(far) else f'{far:g}'}"
-
-
-def _as_json(far: float) -> float | str:
-    return "inf" if isinf(far) else far
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,58 +151,40 @@ class Knowledge(Output):
     def behind(self) -> str:
         """The source of the figures."""
         found = self.known_map.found
-        return (
-            f"{counted(found.rollouts, 'rollout')} of each, common random numbers"
-            if isinstance(found, Sampled)
-            else "exact"
-        )
+        sampled = f"{counted(found.rollouts, 'rollout')} of each, common random numbers"
+        return sampled if isinstance(found, Sampled) else "exact"
 
     def as_json(self) -> Json:
         learning, no_sensor = self.learning, self.no_sensor
         return {
             "known": self.known_map.as_json(),
             "learning": learning.as_json(),
-            "no_sensor": None if no_sensor is None else no_sensor.as_json(),
-            "price_of_not_knowing": self.known_map.ahead(learning).to_json(),
-            "value_of_sensing": None if no_sensor is None else learning.ahead(no_sensor).to_json(),
-            "steps": [
-                {"from": one.range, "to": other.range, "gain": more.to_json()} for one, other, more in self.steps
-            ],
-            "curve": [team.as_json() | {"behind": self.known_map.ahead(team).to_json()} for team in self.teams],
+            "no_sensor": no_sensor and no_sensor.as_json(),
+            "price_of_not_knowing": self.known_map.ahead(learning),
+            "value_of_sensing": no_sensor and learning.ahead(no_sensor),
+            "steps": [{"from": one.range, "to": other.range, "gain": more} for one, other, more in self.steps],
+            "curve": [team.as_json() | {"behind": self.known_map.ahead(team)} for team in self.teams],
             "rollouts": self.known_map.found.rollouts,
         }
 
-    def blocks(self) -> Blocks:
-        columns = ("team", "visited %", "95 %", "known map: more", "lost", "steps")
-        table = make_table(columns, "Value of map information")
-        for team in self.teams:
-            behind = "" if team is self.known_map else self.known_map.ahead(team).describe(100, " points")
-            lost, time = team.found.mean("lost"), team.found.mean("time")
-            table.add_row(
-                "known map" if team is self.known_map else _sees(team.range),
-                *team.coverage.columns(100.0, 100),
-                behind,
-                lost.columns()[0],
-                f"{time.mean:.1f}",
-            )
-        note = f"value of map information: {self.behind}"
+    def elements(self) -> Elements:
+        names = {_sees(team.range) if team is not self.known_map else "known map": team for team in self.teams}
+        more = Column("known map: more", lambda name: "" if names[name] is self.known_map
+                      else self.known_map.ahead(names[name]).describe(100, " points"))  # fmt: skip
+        table = team_table("Value of map information", {name: team.found for name, team in names.items()}, more)
         pictures = {} if len(self.teams) < 4 else {"sense.png": lambda: [self.chart()]}
-        return Blocks(
-            leads=list(self._leads()), tables=[table], notes=[note], pictures=pictures,
-            below=[self.chart()] if pictures else [], layers={"believed.png": lambda: self.believed},
-            settings={"knowledge": self.sense.description},
+        return Elements(
+            leads=list(self._leads()), tables=[table], notes=[f"value of map information: {self.behind}"],
+            pictures=pictures, below=[self.chart()] if pictures else [],
+            layers={"believed.png": lambda: self.believed}, settings={"knowledge": self.sense.description},
         )  # fmt: skip
 
     def _leads(self) -> Iterator[str]:
         learning, no_sensor = self.learning, self.no_sensor
         if learning is not self.known_map:
-            price = difference_text(
-                self.known_map.ahead(learning), "not knowing it costs", "robots that do not know it visit"
-            )
-            yield f"With a known map robots visit {percent(self.known_map.coverage.mean)}: {price}."
+            yield against("With a known map", self.known_map.found, learning.found)
         if no_sensor is not None and no_sensor is not learning:
-            worth = difference_text(learning.ahead(no_sensor), "the sensor gains", "robots with a sensor visit", "less")
-            yield f"Without a sensor robots visit {percent(no_sensor.coverage.mean)}: {worth}."
+            yield against("Without a sensor", no_sensor.found, learning.found)
         if steps := [
             f"{more.describe(100, ' points')} from {near.range:g} to {far.range:g}" for near, far, more in self.steps
         ]:
@@ -228,7 +202,7 @@ class Knowledge(Output):
         seen = Series.of("by sensor range", [team.range for team in near], [team.coverage for team in near])
         return Chart(
             "Coverage by sensor range", (seen,), "sensor range, cells", "visited, % of the cells",
-            unit="%", at_y=((100 * self.known_map.coverage.mean, "known map"),), x_whole=False, x_digits=1,
+            unit="%", at_y=((100 * self.known_map.coverage.mean, "known map"),),
         )  # fmt: skip
 
 
@@ -341,45 +315,24 @@ class Experience(Output):
     def as_json(self) -> Json:
         before, after = self.bits
         return {
-            **{name: self._team(found) for name, found in self._teams()},
-            "price_of_not_knowing": self.price.to_json(),
-            "value_of_learning": self.worth.to_json(),
+            **{name.replace(" ", "_"): team_json(found) for name, found in self._teams.items()},
+            "price_of_not_knowing": self.price,
+            "value_of_learning": self.worth,
             "maps": self.known_hazards.rollouts,
             "rollouts": self.learning.rollouts,
             "posterior": {"rollouts": self.ends, "entropy": {"before": before, "after": after}},
         }
 
-    def _teams(self) -> Iterator[tuple[str, Measured]]:
-        return iter(
-            (("known_hazards", self.known_hazards), ("learning", self.learning), ("no_learning", self.no_learning))
-        )
+    @property
+    def _teams(self) -> dict[str, Measured]:
+        return {"known hazards": self.known_hazards, "learning": self.learning, "no learning": self.no_learning}
 
-    def _team(self, found: Measured) -> Json:
-        figures = {
-            "coverage": found.mean("visited", self._unit),
-            "losses": found.mean("lost"),
-            "time": found.mean("time"),
-        }
-        return {name: value.to_json() for name, value in figures.items()}
-
-    def blocks(self) -> Blocks:
-        table = make_table(("team", "visited %", "95 %", "lost", "steps"), "Value of learning about hazards")
-        for (_, found), said in zip(self._teams(), ("known hazards", "learning", "no learning"), strict=True):
-            time = f"{found.mean('time').mean:.1f}"
-            table.add_row(
-                said, *found.mean("visited", self._unit).columns(100.0, 100), found.mean("lost").columns()[0], time
-            )
-        no_learning, known_hazards = (
-            found.mean("visited", self._unit) for found in (self.no_learning, self.known_hazards)
-        )
+    def elements(self) -> Elements:
         before, after = self.bits
-        price = difference_text(self.price, "not knowing them costs", "robots that do not know them visit")
-        worth = difference_text(self.worth, "learning gains", "robots that learn visit", "less")
-        sure = "" if known_hazards.half_width == 0 else f" ({known_hazards.columns(100.0, 100)[1]}, 95 %)"
+        runs = counted(self.known_hazards.rollouts, "run")
         leads = [
-            f"Without learning robots visit {percent(no_learning.mean)}: {worth}.",
-            f"With known hazards robots visit {known_hazards.columns(100.0, 100)[0]} % of the cells in "
-            f"{counted(self.known_hazards.rollouts, 'run')}{sure}: {price}.",
+            against("Without learning", self.no_learning, self.learning),
+            against(f"With known hazards, in {runs}", self.known_hazards, self.learning),
         ]
         notes = [
             f"value of learning: {counted(self.learning.rollouts, 'rollout')} of each, common random numbers; "
@@ -394,33 +347,18 @@ class Experience(Output):
             bands = np.stack([self.prior, self.posterior, self.entropy])
             files["posterior.tif"] = lambda: raster(self.world, BANDS, bands)
         layers = {"posterior.png": lambda: self._posterior(), "entropy.png": lambda: self._entropy()}
-        return Blocks(leads=leads, tables=[table], notes=notes, layers=layers, files=files)
+        table = team_table("Value of learning about hazards", self._teams)
+        return Elements(leads=leads, tables=[table], notes=notes, layers=layers, files=files)
 
     def _posterior(self) -> CellLayer:
-        from analysis.page.maps import CellLayer
-        from analysis.pictures import LOSSES
-
         about = f"The team's probability of a hazard in the cell at the end of a run; mean of {self.ends:,} runs."
         values = np.nan_to_num(self.posterior)
-        return CellLayer("Posterior of hazards", about, values, LOSSES, "%", root=True, digits=2, short="Posterior")
+        return CellLayer("Posterior of hazards", about, values, "losses", "%", root=True, digits=2, short="Posterior")
 
     def _entropy(self) -> CellLayer:
-        from matplotlib.colors import Normalize
-
-        from analysis.page.maps import CellLayer
-        from analysis.pictures import COVERED
-
         about = f"Bits: 1 for a probability of one half, 0 for certainty. Mean of {self.ends:,} runs."
-        scale = Normalize(0, 1)
-        return CellLayer(
-            "Uncertainty about hazards",
-            about,
-            np.nan_to_num(self.entropy),
-            COVERED,
-            norm=scale,
-            labels=(0, 0.5, 1),
-            short="Uncertainty",
-        )
+        return CellLayer("Uncertainty about hazards", about, np.nan_to_num(self.entropy), "covered", top=1.0,
+                         labels=(0, 0.5, 1), short="Uncertainty")  # fmt: skip
 
 
 def entropy_of(chance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators.trial import TreeTruth
-from analysis.evaluation.figures import Blocks, Figures, Output, Run, coverage_row, last_shown
-from analysis.page.document import Series
+from analysis.evaluation.figures import Elements, Figures, Output, Run, coverage_row, last_shown
+from analysis.page.elements import Series
 from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.statistics.estimates import QUANTILES, Estimate, mean_of, robots_text
 from analysis.theory.verdicts import MEANINGS, longest_run
@@ -91,10 +91,10 @@ class Band(Output):
         low, median, high = np.partition(np.concatenate(found), places, axis=0)[places].astype(np.int64)
         yield cls(steps, low, median, high, count, tally.accessible)
 
-    def blocks(self) -> Blocks:
+    def elements(self) -> Elements:
         middle, low, high = (100 * values / self.accessible for values in (self.median, self.low, self.high))
         name = f"median of {counted(self.rollouts, 'rollout')}"
-        return Blocks(curves=[Series(name, self.steps, middle, low, high, kind="step", colour=4, dashed=True)])
+        return Elements(curves=[Series(name, self.steps, middle, low, high, kind="step", colour=4, dashed=True)])
 
 
 def closed_loop_curves(
@@ -203,17 +203,16 @@ class Deadline(Output):
             "exact": {"open_loop": dict(zip(MEANINGS, self.exact, strict=True))},
         }
 
-    def blocks(self) -> Blocks:
+    def elements(self) -> Elements:
         if self.over:
-            return Blocks(marks=[(self.steps, "deadline")], settings={"deadline": self.pace.step(self.steps)})
+            return Elements(marks=[(self.steps, "deadline")], settings={"deadline": self.pace.step(self.steps)})
         found, cells = self.figures, self.tally.accessible
         mean, known = found.visited.mean.mean / cells, found.visited.mean.half_width == 0
         reached = percent(mean, 2) + " (exact)" if known else percent(mean)
-        lost = robots_text(found.losses.mean, self.tally.robots, found.losses.decimals) + " lost"
-        lost += " on average" * (found.losses.mean > 0)
+        lost = robots_text(found.losses.mean, self.tally.robots, found.losses.decimals)
         by = f"by step {self.steps}{self.pace.also(self.steps)}"
-        return Blocks(
-            opens=[f"By {self.pace.step(self.steps)}: {reached} visited, {lost}."],
+        return Elements(
+            opens=[f"By {self.pace.step(self.steps)}: {reached} visited, {lost} lost on average."],
             rows=[
                 coverage_row(f"{meaning} {by}", getattr(found, meaning), cells, exact)
                 for meaning, exact in zip(MEANINGS, self.exact, strict=True)
@@ -290,7 +289,7 @@ class Turning(Output):
             },
         }
 
-    def blocks(self) -> Blocks:
+    def elements(self) -> Elements:
         """A table with a row for each quantity, and a note."""
         table = make_table(("", "mean", "95 % interval", "no losses"), "Moves and turns of the robots")
         nominal, pace, cost = self.nominal, self.pace, counted(float(self.turn), "step")
@@ -307,4 +306,4 @@ class Turning(Output):
             f"A quarter turn costs {cost}; the mean is of the first {counted(self.rollouts, 'rollout')}. "
             "Turns lengthen only the time in this table."
         )
-        return Blocks(tables=[table], notes=[note], settings={"a quarter turn": cost})
+        return Elements(tables=[table], notes=[note], settings={"a quarter turn": cost})

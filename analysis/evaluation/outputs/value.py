@@ -11,14 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.estimators.trial import TreeTruth, mean_value, stated, units_of
-from analysis.evaluation.figures import Blocks, Output, Run
+from analysis.evaluation.figures import Elements, Output, Run
+from analysis.page.elements import CellLayer
 from analysis.sampling import make_engine_for
 from analysis.statistics.estimates import TAIL, Estimate, at_least, exactly, in_unit, robots_left, tail_mean, times_to
 from analysis.statistics.variance_reduction import LEAST, CommonThresholds, tally_mean
@@ -35,9 +36,6 @@ from planner.rollouts.threshold_classes import classes_by_threshold
 from planner.simulator.state import MOST_PASSES
 from planner.tally import Tally
 from planner.world.world import World
-
-if TYPE_CHECKING:
-    from analysis.page.maps import CellLayer
 
 # Value covered, found and left, and the measures of every field (SPEC section 13).
 
@@ -268,24 +266,21 @@ class Value(ValueFigures, Output):
     def as_json(self) -> Json:
         return self.to_json()
 
-    def blocks(self) -> Blocks:
+    def elements(self) -> Elements:
         beyond = (
             f"visits beyond the {MOST_PASSES}th of a cell find at most {self.remainder:.3g}: the mean includes it, "
             "the lower end of the interval does not"
         )
-        return Blocks(
+        return Elements(
             leads=[_sentence(self)], tables=[value_table(self)], notes=[beyond] * (self.remainder > 0),
             layers={"left.png": self.layer},
         )  # fmt: skip
 
     def layer(self) -> CellLayer:
         """The expected value left in each cell."""
-        from analysis.page.maps import CellLayer
-        from analysis.pictures import LOSSES
-
         about = f"Value times the probability that it is not found. {self.left.mean:.4g} of {self.worth.total:.4g}."
         left = self.left_by_cell.reshape(self.world.shape)
-        return CellLayer("Value left", about, left, LOSSES, root=True, blocks="sum", short="Left")
+        return CellLayer("Value left", about, left, "losses", root=True, blocks="sum", short="Left")
 
 
 def _left(tree: Tree) -> tuple[Estimate, list[Estimate]]:

@@ -16,15 +16,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators.trial import Sampled, Trial
-from analysis.evaluation.figures import Blocks, Figures, Output, Run
-from analysis.page.document import Chart, Series
+from analysis.evaluation.figures import (
+    Elements,
+    Figures,
+    Output,
+    Run,
+    against,
+    team_json,
+    team_table,
+    team_unit,
+)
+from analysis.page.elements import Chart, Series
 from analysis.sampling import make_engine_for, make_roll_out
 from analysis.statistics.estimates import QUANTILES, Estimate
 from analysis.statistics.variance_reduction import Components, known_between, of_means, of_values
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.theory.verdicts import exact_truth
 from analysis.utils.notes import of_things
-from analysis.utils.tables import make_table
+from analysis.utils.tables import Column, in_percents, make_table, table_of
 from planner.arguments import argument, is_real, numbers_of
 from planner.errors import UsageError
 from planner.files import Json
@@ -100,23 +109,16 @@ class Scaled:
             "scale": self.scale,
             "certain": self.certain,
             "coverage": found.coverage_json(),
-            "complete": found.complete.to_json(),
-            "losses": found.losses.to_json(),
+            "complete": found.complete,
+            "losses": found.losses,
             "time": {"mean": found.time.mean},
             "exact": {"open_loop": {"visited": self.exact.visited, "survived": self.exact.survived}},
         }
 
-    def columns(self) -> Iterator[str]:
-        """A row of the table."""
-        found, unit = self.figures, 100.0 / self.tally.accessible
-        if self.known:
-            found = found.with_formulas(self.exact, None)
-        yield f"{self.scale:g}"
-        yield from found.visited.mean.columns(unit, 100)
-        yield found.survived.mean.columns(unit, 100)[0]
-        yield found.complete.columns()[0]
-        yield found.losses.columns()[0]
-        yield f"{found.time.mean:.1f}"
+    @property
+    def shown(self) -> Figures:
+        """The figures of the table."""
+        return self.figures.with_formulas(self.exact, None) if self.known else self.figures
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,13 +154,18 @@ class ThreatScale(Output):
     def as_json(self) -> list[Json]:
         return [scaled.as_json() for scaled in self.scaled]
 
-    def blocks(self) -> Blocks:
-        columns = ("scale", "visited, %", "from .. to", "survived, %", "every cell, %", "robots lost", "time")
-        title = "Results with scaled threats"
-        table = make_table(columns, title, dropped=("time", "every cell, %"))
-        for scaled in self.scaled:
-            table.add_row(*scaled.columns())
-        return Blocks(tables=[table])
+    def elements(self) -> Elements:
+        unit = 1.0 / self.scaled[0].tally.accessible
+        columns = (
+            Column("scale", lambda one: f"{one.scale:g}"),
+            in_percents("visited, %", lambda one: one.shown.visited.mean.times(unit)),
+            in_percents("survived, %", lambda one: one.shown.survived.mean.times(unit), ""),
+            Column("every cell, %", lambda one: one.shown.complete.columns()[0]),
+            Column("robots lost", lambda one: one.shown.losses),
+            Column("time", lambda one: f"{one.shown.time.mean:.1f}"),
+        )
+        dropped = ("time", "every cell, %")
+        return Elements(tables=[table_of(columns, self.scaled, "Results with scaled threats", dropped)])
 
 
 # The cost or gain of differences within a team: the same team with equal robots, on common random numbers.
@@ -214,39 +221,25 @@ class EqualRobots(Output):
 
     def ahead(self, other: Other) -> Estimate:
         """Mean visited coverage of the team minus the other team's, a fraction of the accessible cells."""
-        return self.team.ahead(other.found, "visited", self._unit)
-
-    @property
-    def _unit(self) -> float:
-        return 1.0 / self.team.largest("visited")
+        return self.team.ahead(other.found, "visited", team_unit(self.team))
 
     def as_json(self) -> Json:
         return {
             "rollouts": self.team.rollouts,
-            **self._figures(self.team),
+            **team_json(self.team),
             "others": [
-                {"team": other.description, **self._figures(other.found), "ahead": self.ahead(other).to_json()}
+                {"team": other.description, **team_json(other.found), "ahead": self.ahead(other)}
                 for other in self.others
             ],
         }
 
-    def _figures(self, found: Sampled) -> Json:
-        figures = {"coverage": found.mean("visited", self._unit), "losses": found.mean("lost")}
-        return {name: value.to_json() for name, value in (figures | {"time": found.mean("time")}).items()}
-
-    def blocks(self) -> Blocks:
-        table = make_table(("robots", "visited %", "95 %", "lost", "steps"), "Effect of the differences between robots")
-        leads = []
-        for said, found in (("this team", self.team), *self.others):
-            visited, time = found.mean("visited", self._unit), f"{found.mean('time').mean:.1f}"
-            table.add_row(said, *visited.columns(100.0, 100), found.mean("lost").columns()[0], time)
-        for said, found in self.others:
-            share, less = percent(found.mean("visited", self._unit).mean), self.ahead(Other(said, found))
-            apart = less if less.mean > 0 else found.ahead(self.team, "visited", self._unit)
-            words = f"{apart.describe(100, ' points')} {'less' if less.mean > 0 else 'more'}"
-            leads.append(f"Robots {said} would visit {share}: {words}.")
+    def elements(self) -> Elements:
+        teams = {"this team": self.team} | {other.description: other.found for other in self.others}
+        leads = [against(other.description.capitalize(), other.found, self.team) for other in self.others]
         notes = [f"equal robots: {counted(self.team.rollouts, 'rollout')} of each team, common random numbers"]
-        return Blocks(leads=leads, tables=[table], notes=notes)
+        return Elements(
+            leads=leads, tables=[team_table("Effect of the differences between robots", teams)], notes=notes
+        )
 
 
 # Components of the variance of coverage: between the possible maps, and between missions on one map.
@@ -330,7 +323,7 @@ class MapVariance(Output):
             "rollouts": self.rollouts,
         }
 
-    def blocks(self) -> Blocks:
+    def elements(self) -> Elements:
         columns = ("maps", "mean of means", "5 % of maps", "median", "95 % of maps", "sd between maps", "sd on one map")
         table = make_table(columns, "Mean coverage by map, % visited: deviation between maps and between runs on a map")
         means = (in_percent(value, 2) for value in (float(self.means.mean()), *self.quantiles.values()))
@@ -340,7 +333,7 @@ class MapVariance(Output):
             f"map uncertainty: {self.behind}; standard deviation between maps {_points(self.parts.between)}, "
             f"between runs on one map {_points(self.parts.within)} points"
         )
-        return Blocks(tables=[table], notes=[note], pictures={"map_variance.png": lambda: [self.chart()]})
+        return Elements(tables=[table], notes=[note], pictures={"map_variance.png": lambda: [self.chart()]})
 
     def chart(self) -> Chart:
         """Mean coverage over the share of maps with at most that coverage, with the deviation of single runs."""

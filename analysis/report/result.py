@@ -84,6 +84,16 @@ def as_json(value: Any) -> Any:
     return None if isinstance(value, float) and not isfinite(value) else value
 
 
+def pick(value: Any, names: str) -> Json:
+    """Fields of an object by name, for its JSON object; `names`: separated by spaces."""
+    return {name: getattr(value, name) for name in names.split()}
+
+
+def value_json(value: Any) -> Json:
+    """The key `value` of a JSON object, if the map has values."""
+    return {} if value.value is None else {"value": value.value}
+
+
 def json_of(report: Report) -> Any:
     """The JSON object of a report, times in minutes too where a step has a length."""
     said = {"format": FORMAT} | with_minutes(as_json(report.json()), report.pace)
@@ -119,7 +129,7 @@ def _printed(report: Report) -> Iterator[str | Table]:
     yield from (report.headline, *report.findings)
     yield from [""] if report.last else [*report.heading, *report.took]
     for part in report.parts:
-        if not part.aside:
+        if not part.page_only:
             yield from part.tables
             yield from part.notes
     yield from (*report.last, *(f"note: {note}" for note in report.notes), *report.warnings)
@@ -173,7 +183,7 @@ MOST_SENTENCES = 6
 """Most findings of a report that a console or a notebook shows."""
 
 
-class Answer:
+class Result:
     """Base class of all results. Its report is made by the function that `reported_by` names."""
 
     reported_by: ClassVar[str]
@@ -221,16 +231,16 @@ class Answer:
         return html_of(title, rows).replace("<table>", f"{said}<table>", 1)
 
 
-def report_of(answer: Answer) -> Report:
+def report_of(result: Result) -> Report:
     """The report of a result, from the function that its class names."""
-    module, _, function = answer.reported_by.partition(":")
-    said: Report = getattr(import_module(module), function)(answer)
+    module, _, function = result.reported_by.partition(":")
+    said: Report = getattr(import_module(module), function)(result)
     return said
 
 
-def json_end(answer: Answer, notes: Sequence[str] = ()) -> Json:
+def json_end(result: Result, notes: Sequence[str] = ()) -> Json:
     """The last keys of a result's JSON object: version, `partial` if it was interrupted, notes if there are any."""
-    partial: Json = {"partial": True} if answer.partial else {}
+    partial: Json = {"partial": True} if result.partial else {}
     return {"version": version("mrac-jax")} | partial | ({"notes": list(notes)} if notes else {})
 
 
@@ -238,7 +248,7 @@ def json_end(answer: Answer, notes: Sequence[str] = ()) -> Json:
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Searched(Answer):
+class Searched(Result):
     """Base class of the results of searches.
 
     Attributes:
@@ -304,18 +314,18 @@ def run_again(words: Sequence[str], how: Sequence[str], choices: RolloutChoices,
     return shlex.join(["mrac-jax", "evaluate", *words, *how, *fresh])
 
 
-def search_end(answer: Any) -> Json:
+def search_end(result: Any) -> Json:
     """The last keys of a search's JSON object: team, map, rollouts, and the keys of `json_end`."""
-    choices = answer.choices
+    choices = result.choices
     return {
-        "robots": len(answer.starts),
-        "starts": answer.starts,
-        "accessible": answer.cells,
+        "robots": len(result.starts),
+        "starts": result.starts,
+        "accessible": result.cells,
         "rollouts": choices.rollouts,
         "seed": choices.seed,
-        "engine": answer.engine or None,
-        "exact": not answer.engine,
-        **json_end(answer, answer.notes),
+        "engine": result.engine or None,
+        "exact": not result.engine,
+        **json_end(result, result.notes),
     }
 
 
