@@ -334,7 +334,7 @@ def plan(
     from planner.plan.state import MissionState
     from planner.plan.state_file import read_state
     from planner.plan_team import plan_team
-    from planner.world.levels import starts_of
+    from planner.world.start_rule import starts_of
 
     check_world(world)
     given, sought = dict(options), options["policy"] == BEST
@@ -1076,7 +1076,7 @@ def front(
     import numpy as np
 
     from analysis.search.pareto import Ladders, find_front, make_goal, usual_rollouts
-    from planner.world.levels import starts_of
+    from planner.world.start_rule import starts_of
 
     settings, goal = _settings(world, options), make_goal(losses, target)
     caps, values = (None if given is None else tuple(given) for given in (risk_caps, robot_values))
@@ -1154,7 +1154,7 @@ def threats(
     import numpy as np
 
     from analysis.search.threats import threats_search
-    from planner.world.levels import starts_of
+    from planner.world.start_rule import starts_of
 
     settings, choices = _settings(world, options), _rollouts(options, rollouts=rollouts)
     search: Any = threats_search(remove, add, unit, p)
@@ -1184,7 +1184,7 @@ def studio(
     from analysis.inputs import studio_scenario
     from analysis.sampling import RolloutChoices
     from analysis.utils.progress import ANNOUNCER, lines_now_and_then, notice_compiling, run_loop
-    from planner.world.levels import starts_of
+    from planner.world.start_rule import starts_of
 
     try:
         from analysis.studio.server import Sketch, Studio, serve

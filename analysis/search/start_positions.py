@@ -36,8 +36,8 @@ from planner.files import check_file, read_csv_grid, read_npy, starts_with_heade
 from planner.make_plan import make_plan
 from planner.plan.plan import Plan
 from planner.settings import Settings
-from planner.world.levels import check_robots, place_starts
 from planner.world.points import read_table
+from planner.world.start_rule import check_robots, place_starts
 from planner.world.world import FOUR_NEIGHBOURS, MAX_CELLS, World
 
 # Results: the places with their bounds and estimates, the best place, and the gain over the present starts.

@@ -30,7 +30,6 @@ from planner.formatting import counted, percent
 from planner.make_plan import allocated_plan
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop, final_odds
-from planner.world.features import seeing, with_sense
 from planner.world.map_knowledge import Sense, chance_of
 from planner.world.uncertain_maps import Hazard, Uncertain
 from planner.world.world import World
@@ -89,7 +88,7 @@ class Knowledge(Output):
     @classmethod
     def check(cls, asked: Sequence[float], world: World) -> None:
         if world.knowledge is None:
-            with_sense(world, 0)  # raises the more specific error
+            world.with_sensor_range(0)  # raises the more specific error
             fix = (
                 "give a `true_map` or a `prior_map`"
                 if world.uncertainty is None
@@ -101,7 +100,7 @@ class Knowledge(Output):
         if len(asked) > MOST_RANGES:
             raise UsageError(f"{argument('sensor_range')} has {len(asked)} ranges", expected=f"{MOST_RANGES} at most")
         for far in asked:
-            seeing(world, far)
+            world.seeing(far)
 
     @classmethod
     def measure(cls, asked: Sequence[float], run: Run) -> Iterator[Self]:
