@@ -161,7 +161,7 @@ WRONG = {
     "no file": (lambda world, plan: mrac.read_plan("none.json", world), "none.json: no such file"),
     "keyword": (
         lambda world, plan: mrac.evaluate(world, plan, robots=5),
-        "evaluate has no argument 'robots'; expected one of policy, state, loop",
+        "evaluate has no argument 'robots'; expected one of policy, state, rollouts",
     ),
     "robots": (lambda world, plan: mrac.evaluate(world, robots=5), "; give plan=5, the number of robots to plan for"),
     "robots of check": (lambda world, plan: mrac.check(world, robots=5), "; give plan=5, the number of robots to"),

@@ -115,7 +115,7 @@ def converter(parse: Callable[[str, str], Any], numbers: Numbers = ANY) -> Any:
     def convert(kind: Any, tokens: Sequence[Token]) -> Any:
         name = tokens[0].keyword or "argument"
         found = parse(tokens[0].value, name)
-        if isinstance(found, int | float) and not numbers.accepts(found):
+        if isinstance(found, int | float) and numbers != ANY and not numbers.accepts(found):
             raise UsageError(f"{name} {found:g}", expected=numbers.expected, fix=numbers.meant(found))
         return found
 
