@@ -2,6 +2,9 @@
 
 They take plain arguments and return the results of `analysis` and `planner`. Coverage is a fraction of the accessible
 cells. Cells are `[row, col]`, row 0 at the top. Every error is an `InputError`.
+
+The commands are made from these functions (`analysis.cli.options`): names and types of their options from the
+signatures, help from the `Args` of the docstrings. So that `--help` is quick, all slow imports are in the functions.
 """
 
 from __future__ import annotations
@@ -13,48 +16,42 @@ from dataclasses import replace
 from functools import partial, wraps
 from inspect import Parameter, cleandoc, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, TypeVar, Unpack, cast, overload
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from analysis.evaluation.evaluate import Evaluation
-from analysis.inputs import check_mode, load_world, plan_from_state
-from analysis.sampling import Exactness, RolloutChoices, how_much
-from analysis.utils.notes import Doing, ProgressCallback, UnknownArgument, say
-from analysis.utils.progress import Found, OnInterrupt, ask
-from planner.arguments import argument, as_whole, check_word
-from planner.errors import UsageError
-from planner.files import check_new
-from planner.mission.mission import PATIENCE
-from planner.plan.plan import Plan
-from planner.plan.state import MissionState
-from planner.plan.state_file import read_state
-from planner.plan_team import plan_team, read_plan_on
-from planner.policies.rules import InAreaOrder
-from planner.rollouts.names import EngineName
+from analysis.utils.notes import UnknownArgument, say
+from planner.arguments import COMMAND_LINE, argument, as_whole, check_word, whole
+from planner.errors import InputError, UsageError
 from planner.settings import BEST, OPTIONS, SETTINGS, Choices, Policy, Settings
-from planner.world.scenario import with_route
-from planner.world.start_rule import starts_of
-from planner.world.world import World, check_starts
 
 if TYPE_CHECKING:
     from distributed import Client
+    from numpy.typing import ArrayLike
 
     from analysis.checking.check import MapCheck, Survey
-    from analysis.comparison import Comparison
+    from analysis.comparison import Comparison, Side
+    from analysis.evaluation.evaluate import Evaluation
     from analysis.experiments.reproduction import Reproduction
     from analysis.mission_protocol import DrivenMission
     from analysis.policy_evaluation.leaderboard import Suite
     from analysis.policy_evaluation.policy_evaluation import PolicyEvaluation
+    from analysis.recording.container import Recovered
     from analysis.recording.contents import RecordedOutcomes, RecordedRollout
     from analysis.recording.record import Pick, Recorded
+    from analysis.recording.replay import Inspection, Replayed
+    from analysis.sampling import Exactness, RolloutChoices
     from analysis.search.pareto import Front
     from analysis.search.start_positions import Starts
     from analysis.search.team_size import TeamSize
     from analysis.search.threats import Attack, Clearing
     from analysis.sweeps.results import Results
     from analysis.sweeps.sweep import Sweep
+    from analysis.utils.notes import Doing, ProgressCallback
+    from analysis.utils.progress import Found, OnInterrupt
+    from planner.plan.plan import Plan
+    from planner.plan.state import MissionState
+    from planner.policies.rules import InAreaOrder
+    from planner.rollouts.names import EngineName
+    from planner.world.world import World
 
 
 # Options that several functions share. A function that takes them is written `def f(..., **options: Unpack[Some])` and
@@ -64,7 +61,7 @@ if TYPE_CHECKING:
 Loop = Literal["closed", "open"]
 PlanFor = Literal["closed_loop", "open_loop"]
 ThreatChecks = Literal["every_visit", "first_visit"]
-PlanSource = Plan | str | Path | int | None
+PlanSource: TypeAlias = "Plan | str | Path | int | None"
 """A Plan, a plan file, the number of robots to plan for, or None: the world's own team."""
 ReturnTo = str | Sequence[Sequence[int]] | None
 """Bases that robots return to: "home", "nearest", cells `[[row, col], ...]`; None: robots do not return."""
@@ -97,11 +94,16 @@ class PolicyOptions(PlannerOptions, total=False):
     robot_value: float | None
 
 
-class PlanOptions(PolicyOptions, total=False):
-    """Every setting of `plan`."""
+class LoopOptions(PolicyOptions, total=False):
+    """Settings of `plan` for either loop."""
 
     plan_for: PlanFor | None
     effort: int | None
+
+
+class PlanOptions(LoopOptions, total=False):
+    """Every setting of `plan`."""
+
     deadline: int | str | None
 
 
@@ -112,13 +114,18 @@ class CallOptions(TypedDict, total=False):
     on_interrupt: OnInterrupt
 
 
-class RolledOptions(CallOptions, total=False):
-    """Options of the rollouts, without their number."""
+class SeedOptions(CallOptions, total=False):
+    """Options of the rollouts that a recording or a check of formulas has too."""
 
     seed: int
-    deadline: int | str | None
     threat_checks: ThreatChecks
     engine: EngineName
+
+
+class RolledOptions(SeedOptions, total=False):
+    """Options of the rollouts, without their number."""
+
+    deadline: int | str | None
     exact: Exactness
 
 
@@ -139,20 +146,14 @@ class SearchOptions(PolicyOptions, RolledOptions, total=False):
     """Options of `starts` and `threats`."""
 
 
-class SizeOptions(SearchOptions, total=False):
+class SizeOptions(LoopOptions, RolledOptions, total=False):
     """Options of `size`, which also plans for the open loop."""
 
-    plan_for: PlanFor | None
-    effort: int | None
 
-
-class RecordOptions(CallOptions, total=False):
+class RecordOptions(SeedOptions, total=False):
     """Options of `record`."""
 
     loop: Loop | None
-    seed: int
-    threat_checks: ThreatChecks
-    engine: EngineName
 
 
 class MapsOptions(CallOptions, total=False):
@@ -162,6 +163,10 @@ class MapsOptions(CallOptions, total=False):
     scheduler: str | Client | None
 
 
+class CheckOptions(LoopOptions, SeedOptions, MapsOptions, total=False):
+    """Options of `check`; the settings are those of random maps."""
+
+
 OF_CALLS = {
     "progress": "None: a bar on a terminal, a line in a notebook; True: lines on a pipe too; False: none; or a "
     "function called with (done, total, seconds) after every chunk.",
@@ -169,16 +174,17 @@ OF_CALLS = {
     "answer is returned, `answer.partial` true.",
 }
 """Help of the arguments that are not options of a command."""
-REPORTED = 'Also report coverage at this step or time, as 450 or "45min".'
+REPORTED = "Also report coverage at this step or time: 450, 45min, 1h30min, 90s."
 """Help of a deadline that does not end the mission."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def takes(options: type, **help: str) -> Callable[[Function], Function]:
+def takes(options: type, *, beyond: bool = False, **help: str) -> Callable[[Function], Function]:
     """A decorator that replaces `**options` by named keyword-only arguments with defaults.
 
     Args:
         options: the TypedDict of the arguments. The function receives all of them.
+        beyond: the function receives other names too, which it checks.
         help: texts that replace the usual help of some arguments.
 
     Raises:
@@ -193,17 +199,19 @@ def takes(options: type, **help: str) -> Callable[[Function], Function]:
     def named(function: Function) -> Function:
         own = signature(function)
         first = [one for one in own.parameters.values() if one.kind is not Parameter.VAR_KEYWORD]
-        known = [*(one.name for one in first), *more]
-        own_help = OF_CALLS | help
-        helps = {name: own_help.get(name) or _in_python(OPTIONS[name].help) for name in more}
+        names, own_help = [one.name for one in first], OF_CALLS | help
+        shared = {name: one for name, one in more.items() if name not in names}
+        known, usual = [*names, *shared], {name: one.default for name, one in shared.items()}
+        helps = {name: own_help.get(name) or _in_python(OPTIONS[name].help) for name in shared}
 
         @wraps(function)
         def call(*args: Any, **given: Any) -> Any:
-            for name in given.keys() - set(known):
+            for name in () if beyond else given.keys() - set(known):
                 raise UnknownArgument.of(function, name, given[name], known)
-            return function(*args, **{name: one.default for name, one in more.items()} | given)
+            return function(*args, **usual | given)
 
-        call.__signature__ = own.replace(parameters=[*first, *more.values()])  # type: ignore[attr-defined]
+        rest = [one for one in own.parameters.values() if beyond and one.kind is Parameter.VAR_KEYWORD]
+        call.__signature__ = own.replace(parameters=[*first, *shared.values(), *rest])  # type: ignore[attr-defined]
         lines = "".join(f"\n    {name}: {text}" for name, text in helps.items())
         call.__doc__ = f"{cleandoc(function.__doc__ or '')}\n\nKeyword Args:{lines}\n"
         return call  # type: ignore[return-value]
@@ -214,6 +222,32 @@ def takes(options: type, **help: str) -> Callable[[Function], Function]:
 def _in_python(text: str) -> str:
     """The help of an option as the help of an argument: `plan_for` instead of --plan-for."""
     return re.sub(r"--([a-z][a-z-]+)", lambda found: f"`{found[1].replace('-', '_')}`", text)
+
+
+Answered = TypeVar("Answered", bound="Found")
+
+
+def _ask(
+    work: Callable[[ProgressCallback, Doing], Answered], options: Mapping[str, Any], things: str = "rollouts"
+) -> Answered:
+    """The result of `work`, with the progress reports and the handling of interrupts of the options."""
+    from analysis.utils.progress import ask
+
+    return ask(work, options["progress"], options["on_interrupt"], things)
+
+
+def _first_only(options: Mapping[str, Any]) -> bool:
+    """Whether only first visits can destroy a robot. Raises UsageError for an unknown word."""
+    check_word("threat_checks", options["threat_checks"], OPTIONS["threat_checks"].words)
+    return bool(options["threat_checks"] == "first_visit")
+
+
+def _rollouts(options: Mapping[str, Any], **how: Any) -> RolloutChoices:
+    """The rollouts among the options; `how` replaces some. Raises UsageError."""
+    from analysis.sampling import RolloutChoices
+
+    given = {name: options[name] for name in ("seed", "engine", "deadline", "exact") if name in options}
+    return RolloutChoices(first_only=_first_only(options), **{**given, **how})
 
 
 # Worlds and plans: the inputs of every other function.
@@ -246,6 +280,10 @@ def load(
     Returns:
         The world. `plan(world)` uses the robots of a scenario. `world.notes` lists the changes made while loading.
     """
+    from analysis.inputs import load_world
+    from planner.world.scenario import with_route
+    from planner.world.world import World
+
     if isinstance(source, str | Path):
         world = load_world(str(source), cell_size)
         _say_if_large(world)
@@ -292,6 +330,11 @@ def plan(
     world with a step length a `deadline` may be a time, "45min".
     """
     from analysis.estimators.racing import BASE, plan_best
+    from analysis.inputs import plan_from_state
+    from planner.plan.state import MissionState
+    from planner.plan.state_file import read_state
+    from planner.plan_team import plan_team
+    from planner.world.start_rule import starts_of
 
     check_world(world)
     given, sought = dict(options), options["policy"] == BEST
@@ -323,12 +366,17 @@ def _of_tuples(name: str, given: Any) -> Any:
 
 def check_world(world: object) -> None:
     """Raise UsageError for an object that is not a World, such as the name of an INPUT or an array."""
+    from planner.world.world import World
+
     if not isinstance(world, World):
         raise UsageError(argument("world", world), expected="a World, as mrac_jax.load makes one")
 
 
 def plan_of(world: World, given: PlanSource) -> tuple[World, Plan]:
     """The world and the plan of a PlanSource: the plan itself, one read from a file (`read_plan_on`), or a new one."""
+    from planner.plan.plan import Plan
+    from planner.plan_team import read_plan_on
+
     check_world(world)
     if isinstance(given, Plan):
         given.require(world)
@@ -368,6 +416,7 @@ def record(
     from analysis.recording.record import Request, parse_picks
     from analysis.recording.record import record as record_rollouts
     from analysis.recording.viewers.topics import write_layout
+    from planner.files import check_new
 
     check_name(Path(path), SUFFIX)
     check_new(path, layout_name(Path(path)), force=force)
@@ -387,7 +436,44 @@ def record(
         write_layout(layout_name(done.path), of, len(given.robots))
         return done
 
-    return ask(work, options["progress"], options["on_interrupt"])
+    return _ask(work, options)
+
+
+def inspect(
+    file: str | Path,
+    *,
+    replay: bool = False,
+    engine: EngineName = "auto",
+    all: bool = False,
+    repair: str | Path | None = None,
+    progress: ProgressCallback | None = None,
+) -> Inspection | Replayed | Recovered:
+    """Contents of a recording: topics, attachments, and a timeline of each rollout; or its replay, or its repair.
+
+    Args:
+        file: a recording (.mcap).
+        replay: Run the recorded rollouts again, and report whether every event is the same (exit status 1 if not).
+        engine: With `replay`: simulator to use (default: auto).
+        all: With `replay`: run every evaluated rollout.
+        repair: Save the intact part of a recording to this file (exit status 1 if some is lost).
+        progress: of the replay; called with (done, total, seconds).
+    """
+    from analysis.recording import replay as logs
+    from analysis.recording.container import recover
+    from analysis.recording.names import SUFFIX, check_name
+
+    if repair is not None and replay:
+        raise UsageError(f"both {argument('replay')} and {argument('repair')} are given", expected="one of them")
+    for name, given in (("engine", engine != "auto"), ("all", all)):
+        if given and not replay:
+            problem = f"{argument(name)} without {argument('replay')}"
+            raise UsageError(problem, fix=f"add {argument('replay')}, or leave it out")
+    if replay:
+        return logs.replay(file, engine, everything=all, progress=progress)
+    if repair is None:
+        return logs.inspect(file)
+    check_name(Path(repair), SUFFIX)
+    return recover(Path(file), Path(repair))
 
 
 def read_rollouts(path: str | Path) -> Iterator[RecordedRollout]:
@@ -422,9 +508,10 @@ def export(
     """The plan for ground stations, nav2 and GIS; returns the files.
 
     Args:
-        plan: as of `evaluate`. out: a file or a folder. to: the format; None: by the suffix of `out`.
-        altitude: QGroundControl: metres above take-off (default 20), 0 for robots on the ground. speed: metres a
-            second (default: as the world says, or 3).
+        plan: as of `evaluate`. out: a file or a folder.
+        to: Format (default: by the suffix of `out`).
+        altitude: qgc: metres above take-off, 0 for ground robots (default: 20).
+        speed: metres a second (default: as the world says, or 3).
         force: replace existing files; without it an existing file is an InputError, and nothing is written.
     """
     from analysis.exporting import choose_format, make_mission
@@ -442,7 +529,7 @@ def drive(
     plan: PlanSource = None,
     *,
     state: MissionState | str | Path | None = None,
-    patience: int | None = PATIENCE,
+    patience: int | None = 20,
     gain: float = 1.0,
 ) -> DrivenMission:
     """A mission that gives orders and takes reports step by step, and resumes after a crash.
@@ -450,11 +537,16 @@ def drive(
     Args:
         plan: a Plan, a plan file, the number of robots to plan for, or None: the world's own team.
         state: the state to start from: a file of `Mission.save`, or any state that `plan` takes.
-        patience: steps without progress before a robot's work is reassigned. None: never.
-        gain: a robot changes its target, to work that became free or to a nearer cell of its area after a push, if
-            that saves more than this fraction of the cost of its path. 1: it never does.
+        patience: Steps without progress before a robot's work is reassigned (default: 20).
+        gain: Smallest share of the way that a change of target must save (default: 1, never).
+
+    Without a `patience` (None) no work is reassigned. A robot changes its target to work that became free, or to a
+    nearer cell of its area after a push.
     """
+    from analysis.inputs import plan_from_state
     from analysis.mission_protocol import DrivenMission
+    from planner.plan.state import MissionState
+    from planner.plan.state_file import read_state
 
     world, made = plan_of(world, plan)
     if isinstance(state, str | Path) and Path(state).suffix == ".json":
@@ -465,7 +557,7 @@ def drive(
     return DrivenMission(world, made, patience=patience, gain=gain)
 
 
-# Many maps: sweeps, the paper's experiments, the results in a store.
+# Many maps: sweeps, the results in a store, random worlds.
 
 
 @takes(MapsOptions)
@@ -476,25 +568,29 @@ def sweep(
     precision: float | None = None,
     **options: Unpack[MapsOptions],
 ) -> Sweep:
-    """Run a sweep file on all cores.
+    """A scenario with lists of settings, on many maps; stored results are reused.
+
+    Every setting is run on the same maps and the same random numbers.
 
     Args:
-        store: file of the results; a run resumes from it (default: NAME.store in the current folder).
-        precision: add maps until the half-width of every interval of mean coverage is at most this.
+        spec: the sweep file (YAML).
+        store: Keep results in this file, and reuse those that it has (default: NAME.store).
+        precision: Add maps until every 95 % interval of mean coverage is this narrow.
     """
     from analysis.sweeps.spec import read_spec
     from analysis.sweeps.store import Store
     from analysis.sweeps.sweep import check_precision, run_sweep
+    from analysis.utils.progress import compiling_elsewhere
 
     asked = read_spec(Path(spec))
     check_precision(precision)
 
     def work(tell: ProgressCallback, doing: Doing) -> Sweep:
-        where = _where(options)
-        with Store.open(Path(f"{asked.source.stem}.store") if store is None else Path(store)) as opened:
-            return run_sweep(asked, opened, watch=lambda *now: tell(*now[:3]), precision=precision, **where)
+        where, watch = _where(options), cast("Any", tell)  # which takes what is counted too
+        with Store.open(Path(store or f"{asked.source.stem}.store")) as opened, compiling_elsewhere(asked.policies):
+            return run_sweep(asked, opened, watch=watch, precision=precision, **where)
 
-    return ask(work, options["progress"], options["on_interrupt"], "jobs")
+    return _ask(work, options, "jobs")
 
 
 def _where(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -516,7 +612,7 @@ def results(store: str | Path, *, by: Sequence[str] = (), where: dict[str, Any] 
     from analysis.sweeps.store import Store
 
     def texts(value: object) -> tuple[str, ...]:
-        several = value if isinstance(value, list | tuple | set | np.ndarray) else [value]
+        several = [value] if isinstance(value, str) or not isinstance(value, Iterable) else value
         return tuple(str(one) for one in several)
 
     wanted = {name: texts(value) for name, value in (where or {}).items()}
@@ -530,7 +626,7 @@ def generate(
     kind: Literal["contiguous", "scattered"] = "contiguous",
     size: str | None = None,
     obstacles: float | None = None,
-    ratio: float | None = None,
+    ratio: float = 0.25,
     areas: int | None = None,
     levels: Sequence[float] | None = None,
     seed: int = 0,
@@ -540,16 +636,26 @@ def generate(
     """A random world of the paper, or a map with random threats.
 
     Args:
-        map: an INPUT whose free cells get the threats; cell_size: side of its cells in metres.
-        kind: of the threats; areas: number of contiguous areas (10); levels: their p, in turn (0.04, ..., 0.20).
-        size: "HxW" in cells ("20x20"); obstacles, ratio: fractions of obstacles and of dangerous cells (0.25 each).
-        seed: of the world. robots: also place the starts of this many robots.
+        map: Put the threats on the free cells of this INPUT.
+        kind: Pattern of the threats (default: contiguous).
+        size: Size of a map, HxW in cells (default: 20x20).
+        obstacles: Fraction of the cells that are obstacles (default: 0.25).
+        ratio: Fraction of dangerous cells; with `map`, of its free cells (default: 0.25).
+        areas: Number of contiguous areas of threats (default: 10).
+        levels: Threat levels, in turn (default: 0.04,0.08,0.12,0.16,0.20).
+        seed: Seed of the map (default: 0).
+        robots: Also store the starts of this many robots, upper left.
+        cell_size: With `map`: side of a cell in metres; the map is coarsened.
     """
     from analysis.inputs import generate_world
+    from planner.world.generate import PAPER_LEVELS, ThreatPattern
 
-    given = None if levels is None else ",".join(f"{level:.17g}" for level in levels)
-    on = None if map is None else str(map)
-    world, notes = generate_world(on, kind, size, obstacles, ratio, areas, given, seed, robots, cell_size)
+    if kind == "scattered" and areas is not None:
+        fix = f"leave it out, or use {argument('kind', 'contiguous')}"
+        raise UsageError(f"{argument('areas')} is for contiguous threats", fix=fix)
+    chosen = PAPER_LEVELS if levels is None else tuple(levels)
+    pattern = ThreatPattern(kind, 10 if areas is None else areas, chosen, seed)
+    world, notes = generate_world(None if map is None else str(map), pattern, size, obstacles, ratio, robots, cell_size)
     return replace(world, notes=(*world.notes, *notes))
 
 
@@ -589,6 +695,7 @@ def judge(
         progress, on_interrupt: as of `evaluate`.
     """
     from analysis.policy_evaluation.policy_evaluation import judge as judge_policy
+    from analysis.sampling import RolloutChoices
     from planner.rollouts.names import of_jax
 
     check_world(world)
@@ -597,11 +704,12 @@ def judge(
     given: dict[str, Any] = {"starts": starts, "actions": actions, "view": view, "rule": rule, "offers": offers}
     env = of_jax("environment")(world, robots, **given, max_steps=max_steps)
     choices = RolloutChoices(rollouts=rollouts, seed=seed)
+    options = {"progress": progress, "on_interrupt": on_interrupt}
 
     def work(tell: ProgressCallback, doing: Doing) -> PolicyEvaluation:
         return judge_policy(world, policy, env, choices, against, processes, tell)
 
-    return ask(work, progress, on_interrupt)
+    return _ask(work, options)
 
 
 def suite(only: str | Sequence[str] | None = None) -> Suite:
@@ -622,100 +730,80 @@ def suite(only: str | Sequence[str] | None = None) -> Suite:
 def evaluate(world: World, plan: int | None = None, *, policy: Callable[..., Any], **how: Any) -> PolicyEvaluation: ...
 @overload
 def evaluate(world: World, plan: PlanSource = None, **how: Any) -> Evaluation: ...
+@takes(OnePlanOptions, beyond=True, deadline=REPORTED)
 def evaluate(
     world: World,
     plan: PlanSource = None,
     *,
     policy: Callable[..., Any] | None = None,
     state: MissionState | str | Path | None = None,
-    loop: Loop | None = None,
     rollouts: int | None = None,
     precision: float | None = None,
-    seconds: float | None = None,
-    exact: Exactness = "auto",
-    engine: EngineName = "auto",
-    seed: int = 0,
-    deadline: int | str | None = None,
-    threat_checks: ThreatChecks = "every_visit",
     threat_scale: Sequence[float] = (),
     sensor_range: Sequence[float] = (),
     bound: bool | None = None,
     band: bool = True,
     advice: bool = True,
-    progress: ProgressCallback | bool | None = None,
-    on_interrupt: OnInterrupt = "raise",
-    **asked: Any,
+    show: Callable[[Evaluation], None] | None = None,
+    **options: Any,
 ) -> Evaluation | PolicyEvaluation:
-    """Coverage of a plan, with confidence intervals.
+    """Coverage and losses of a team, with intervals: exact values, rollouts and bounds.
 
     Args:
         plan: a Plan, a plan file, the number of robots to plan for, or None: the world's own team.
         policy: a function of the robots' observations instead of a plan. The call is then one of `judge`: it accepts
             the arguments of `judge` only, and `plan` is the number of robots.
         state: state of a mission under way, or its file, instead of a plan: the rest is planned and rolled out.
-        loop: "closed": survivors take over; "open": every robot follows its path until it is destroyed. None: open for
-            plans of paths only, else closed.
-        rollouts: their number; or `precision`: half-width of the 95 % interval of mean coverage to reach. Neither:
-            a half-width of 0.001, or 10 seconds of rollouts.
-        seconds: limit of the time for rollouts.
-        exact: search for the closed loop's exact values, which small teams have: "auto" for about 2 s, "never", or for
-            about this many seconds. The limit counts work, not time, so that no answer depends on the machine.
-        engine: "auto" takes JAX where it has an accelerator, else Numba. seed: of the rollouts.
-        deadline: a step at which coverage is also reported; robots that return to a base are there by then.
-        threat_checks: "first_visit": only the first visit of a cell by any robot can destroy a robot.
-        threat_scale: also evaluate with all threats multiplied by these factors.
-        sensor_range: also evaluate with sensors of these ranges, in cells, on common random numbers; 0: no sensor.
-        bound: compute the upper bound that holds for every strategy; None: on up to 500 accessible cells.
+        rollouts: Number of rollouts (default: as many as `precision` needs).
+        precision: Stop at this half-width of the 95 % interval of mean coverage (default: 0.001, a tenth of a point).
+        threat_scale: Also evaluate the same plan with all threats multiplied by these factors: "0.5,1,2".
+        sensor_range: Also evaluate robots without a known map at these sensor ranges, in cells: "0,1,2,inf".
+        bound: Compute the upper bound on maps with more than 1,000 dangerous cells too.
         band: also sample how coverage grows over time, for `plots`.
-        advice: also compute a quick front: coverage and losses of other settings.
-        asked: any further output of `analysis.evaluation.outputs`, by its key.
-        progress: None: a bar on a terminal, a line in a notebook; True: lines on a pipe too; False: none; or a
-            function called with (done, total, seconds) after every chunk.
-        on_interrupt: "raise": Ctrl-C raises a KeyboardInterrupt with the answer so far as `partial`; "return": that
-            answer is returned, `answer.partial` true.
+        advice: Coverage and losses of other settings (a few seconds; compiles on the first run).
+        show: called with the evaluation so far, before the results that take longer.
+        options: any further output of `analysis.evaluation.outputs`, by its key.
+
+    A limit of the time for exact values counts work, not time, so that no answer depends on the machine. A plan of
+    paths only is evaluated in the open loop unless `loop` is given.
     """
+    given = locals()
+    given |= given.pop("options")
     if policy is not None:
-        return _judged(**locals())
-    from analysis.evaluation.evaluate import check_asked
+        return _judged(given)
+    from analysis.evaluation.evaluate import OUTPUTS, check_asked
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
+    from analysis.sampling import how_much
 
     if state is not None and plan is not None:
         raise UsageError("both a plan and a state", expected="one of them")
     check_world(world)
-    _check_outputs(asked)
-    asked |= {"threat_scale": tuple(threat_scale)}
+    asked = {name: value for name, value in options.items() if name not in OnePlanOptions.__annotations__}
+    for name in asked.keys() - OUTPUTS.keys():
+        known = [name for name, one in signature(evaluate).parameters.items() if one.kind is one.KEYWORD_ONLY]
+        raise UnknownArgument.of(evaluate, name, asked[name], known)
+    asked["threat_scale"] = tuple(threat_scale)
     asked |= {"knowledge": tuple(sensor_range)} if len(sensor_range) else {}
     check_asked(world, **asked)
     asked |= {"band": band, "advice": advice}
-    amount = how_much(rollouts, precision, seconds)
+    amount = how_much(rollouts, precision, options["seconds"])
 
     def work(tell: ProgressCallback, doing: Doing) -> Evaluation:
         doing("planning")
         of, made = plan_of(world, plan) if state is None else (world, _rest(world, state))
-        choices = RolloutChoices(
-            loop=loop or made.usual_loop, **amount, exact=exact, engine=engine, seed=seed, deadline=deadline,
-            first_only=_first_only({"threat_checks": threat_checks}),
-        )  # fmt: skip
-        return evaluate_plan(of, made, choices, bound=bound, progress=tell, doing=doing, **asked)
+        choices = _rollouts(options, loop=options["loop"] or made.usual_loop, **amount)
+        return evaluate_plan(of, made, choices, bound=bound, progress=tell, doing=doing, show=show, **asked)
 
-    return ask(work, progress, on_interrupt)
+    return _ask(work, options)
 
 
-def _check_outputs(asked: Mapping[str, Any]) -> None:
-    """Raise UsageError for a keyword of `evaluate` that is neither an argument nor an output."""
-    from analysis.evaluation.evaluate import OUTPUTS
-
-    known = [name for name, one in signature(evaluate).parameters.items() if one.kind is one.KEYWORD_ONLY]
-    for name in asked.keys() - OUTPUTS.keys():
-        raise UnknownArgument.of(evaluate, name, asked[name], known)
-
-
-def _judged(
-    world: World, plan: Any, policy: Callable[..., Any], asked: dict[str, Any], **rest: Any
-) -> PolicyEvaluation:
+def _judged(given: dict[str, Any]) -> PolicyEvaluation:
     """`evaluate` of a policy: a call of `judge`. Raises UsageError for arguments that only a plan has."""
-    parameters = signature(evaluate).parameters
-    given = asked | {name: value for name, value in rest.items() if value is not parameters[name].default}
+    from planner.plan.plan import Plan
+
+    usual = {name: one.default for name, one in signature(evaluate).parameters.items()}
+    world, plan, policy = (given.pop(name) for name in ("world", "plan", "policy"))
+    given = {name: value for name, value in given.items() if name not in usual or value is not usual[name]}
     known = [name for name in signature(judge).parameters if name not in ("world", "policy", "robots")]
     for name in given.keys() - known:
         problem = f"evaluate has no argument {name!r} for a policy"
@@ -738,7 +826,7 @@ def compare(
     threat_checks_b: ThreatChecks | None = None,
     **options: Unpack[OnePlanOptions],
 ) -> Comparison:
-    """The difference between two plans, teams or maps, on common random numbers.
+    """Difference between two plans, settings, teams or maps, on common random numbers.
 
     Args:
         a, b: a world and a plan for it: a Plan, a plan file, the number of robots, or None, as of `evaluate`.
@@ -746,26 +834,31 @@ def compare(
 
     Without `rollouts` and `precision` (of the difference) it runs 100,000 rollouts, or fewer if 10 seconds are over.
     """
-    from analysis.comparison import Side, make_side
     from analysis.comparison import compare as compare_sides
+    from analysis.comparison import make_side
+    from analysis.sampling import how_much
+    from planner.world.world import World
 
     amount = how_much(options["rollouts"], options["precision"], options["seconds"], usual=100_000)
     for name, side in (("a", a), ("b", b)):
         if not (isinstance(side, tuple) and len(side) == 2 and isinstance(side[0], World)):
             raise UsageError(argument(name, side), expected="(world, plan), a World and a plan for it")
 
-    def make(side: tuple[World, PlanSource], loop: Loop | None, threat_checks: ThreatChecks) -> Side:
-        world, plan = plan_of(*side)
-        how = dict(options) | {"threat_checks": threat_checks}
-        return make_side(world, plan, _rollouts(how, loop=loop or plan.usual_loop, **amount))
+    def make(name: str, side: tuple[World, PlanSource], loop: Loop | None, threat_checks: ThreatChecks) -> Side:
+        try:
+            world, plan = plan_of(*side)
+            how = dict(options) | {"threat_checks": threat_checks}
+            return make_side(world, plan, _rollouts(how, loop=loop or plan.usual_loop, **amount))
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from error
 
     def work(tell: ProgressCallback, doing: Doing) -> Comparison:
         doing("planning")
-        first = make(a, options["loop"], options["threat_checks"])
-        other = make(b, loop_b or options["loop"], threat_checks_b or options["threat_checks"])
+        first = make("A", a, options["loop"], options["threat_checks"])
+        other = make("B", b, loop_b or options["loop"], threat_checks_b or options["threat_checks"])
         return compare_sides(first, other, progress=tell)
 
-    return ask(work, options["progress"], options["on_interrupt"])
+    return _ask(work, options)
 
 
 @overload
@@ -774,16 +867,12 @@ def check(world: World, plan: PlanSource = None, **how: Any) -> MapCheck: ...
 def check(*, worlds: int, **how: Any) -> Survey: ...
 @overload
 def check(*, paper: Literal["fig4", "fig5", "fig6", "fig7", "all"], **how: Any) -> Reproduction: ...
-def check(  # type: ignore[misc]
+@takes(CheckOptions)  # type: ignore[misc]
+def check(
     world: World | None = None,
     plan: PlanSource = None,
     *,
     rollouts: int | None = None,
-    seed: int = 0,
-    engine: EngineName = "auto",
-    threat_checks: ThreatChecks = "every_visit",
-    bound: bool | None = None,
-    theory: Literal["main", "all"] = "main",
     worlds: int | None = None,
     robots: Sequence[int] | None = None,
     kind: Literal["contiguous", "scattered"] | None = None,
@@ -791,69 +880,115 @@ def check(  # type: ignore[misc]
     paper: Literal["fig4", "fig5", "fig6", "fig7", "all"] | None = None,
     maps: int | None = None,
     store: str | Path | None = None,
-    processes: int | None = None,
-    scheduler: str | Client | None = None,
-    progress: ProgressCallback | bool | None = None,
-    on_interrupt: OnInterrupt = "raise",
+    bound: bool | None = None,
+    theory: Literal["main", "all"] = "main",
+    **options: Unpack[CheckOptions],
 ) -> MapCheck | Survey | Reproduction:
-    """Check of the paper's formulas for a plan, on random maps (`worlds`), or of its experiments (`paper`).
+    """Check of the paper's formulas on a map, on random maps, or of its experiments.
+
+    Expected values of the open loop are exact. Those of the closed loop are exact where that is cheap, else sampled,
+    with simultaneous 95 % intervals.
 
     Args:
         world, plan: as of `evaluate`.
-        rollouts: of the closed loop where it is not known exactly (20,000; 4,096 a team with `worlds`; 20 a map with
-            `paper`). seed, engine, threat_checks, bound, progress, on_interrupt: as of `evaluate`.
-        theory: rows of its table: "main", one per formula; "all", every reading and meaning of each.
-        worlds: number of random maps; `kind` of their threats, "contiguous" or "scattered"; `size` of a map, "20x20";
-            robots: team sizes, (1, 2, 4, 8, 20).
-        paper: a figure of the paper, or "all"; maps: per setting (500); store: keep results in this file.
-        processes, scheduler: as of `sweep`.
+        rollouts: Number of closed-loop rollouts (default: 20000; 4096 a team with `worlds`; 20 a map with `paper`).
+        worlds: Check this many random maps instead of an INPUT.
+        robots: team sizes of random maps (default: (1, 2, 4, 8, 20)).
+        kind: Pattern of the threats (default: contiguous).
+        size: Size of a map, HxW in cells (default: 20x20).
+        paper: Check the statements of the paper's experiments on random maps.
+        maps: With `paper`: random maps per setting (default: 500, as in the paper).
+        store: Keep results in this file, and reuse those that it has.
+        bound: Compute the upper bound on maps with more than 1,000 dangerous cells too.
+        theory: Table of an INPUT: main, a row per formula, or all readings and meanings (default: main).
     """
     check_word("theory", theory, ("main", "all"))
-    mode = check_mode({name: value for name, value in locals().items() if name in signature(check).parameters})
-    if mode == "world" and robots is not None:
-        known = [name for name in signature(check).parameters if name != "robots"]
-        raise UnknownArgument.of(check, "robots", robots, known)
-    if mode == "paper":
-        return _paper(paper or "all", maps, rollouts, seed, store, locals())
-    from analysis.checking.check import check_input, make_survey, run_survey
-
-    first_only = _first_only({"threat_checks": threat_checks})
-    count = rollouts or (20_000 if mode == "world" else 4096)
-    choices = RolloutChoices(rollouts=count, seed=seed, engine=engine, first_only=first_only)
+    given = {name: value for name, value in locals().items() if name in signature(check).parameters} | options
+    mode = check_mode(given)
+    settings = Choices(**{name: options[name] for name in SETTINGS if name in options})  # type: ignore[literal-required]
     if mode == "world":
-        given = plan_of(world, plan)  # type: ignore[arg-type]
-        return ask(lambda tell, doing: check_input(*given, choices, tell, bound, theory), progress, on_interrupt)
+        for name in {"robots": robots, **settings.given()}.keys() - ({"robots"} if robots is None else set()):
+            known = [one for one in signature(check).parameters if one != name]
+            raise UnknownArgument.of(check, name, given[name], known)
+    if mode == "paper":
+        return _reproduction(given)
+    from analysis.checking.check import check_input, make_survey, run_survey
+    from analysis.utils.progress import compiling_elsewhere
+
+    choices = _rollouts({**options, "deadline": None}, rollouts=rollouts or (20_000 if mode == "world" else 4096))
+    if mode == "world":
+        of = plan_of(world, plan)  # type: ignore[arg-type]
+        return _ask(lambda tell, doing: check_input(*of, choices, tell, bound, theory), options)
     sizes = (1, 2, 4, 8, 20) if robots is None else tuple(sorted(set(robots)))
-    survey = make_survey(worlds or 0, kind, size, sizes, Choices(), bool(bound))
-    return ask(
-        lambda tell, doing: run_survey(survey, choices, processes=processes, progress=tell),
-        progress,
-        on_interrupt,
-        "worlds",
-    )
+    for count in sizes or (0,):
+        whole(1, 1024).check("robots", count)
+    survey = make_survey(worlds or 0, kind, size, sizes, settings, bool(bound))
+
+    def work(tell: ProgressCallback, doing: Doing) -> Survey:
+        with compiling_elsewhere([survey.settings.policy]):
+            return run_survey(survey, choices, processes=options["processes"], progress=tell)
+
+    return _ask(work, options, "worlds")
 
 
-def _paper(
-    figure: str, maps: int | None, rollouts: int | None, seed: int, store: str | Path | None, options: Mapping[str, Any]
-) -> Reproduction:
+def _reproduction(given: Mapping[str, Any]) -> Reproduction:
+    """The paper's experiments. Raises InputError."""
     from analysis.experiments.reproduction import reproduce
     from analysis.sweeps.cases import check_maps
     from analysis.sweeps.store import Store
+    from analysis.utils.progress import compiling_elsewhere
+    from planner.policies import DEFAULT
 
-    count = {"maps": 500 if maps is None else maps, "rollouts": 20 if rollouts is None else rollouts, "seed": seed}
-    check_maps(count["maps"], seed)
+    count = {"maps": given["maps"] or 500, "rollouts": given["rollouts"] or 20, "seed": given["seed"]}
+    OPTIONS["rollouts"].numbers.check("rollouts", count["rollouts"])
+    check_maps(count["maps"], count["seed"])
+    where, store = _where(given), given["store"]
 
     def work(tell: ProgressCallback, doing: Doing) -> Reproduction:
-        where = _where(options)
-        with nullcontext() if store is None else Store.open(Path(store)) as kept:
-            return reproduce(figure, **count, **where, store=kept, progress=tell)  # type: ignore[arg-type]
+        with (
+            nullcontext() if store is None else Store.open(Path(store)) as kept,
+            compiling_elsewhere([DEFAULT]),
+        ):
+            return reproduce(given["paper"], **count, **where, store=kept, progress=tell)
 
-    return ask(work, options["progress"], options["on_interrupt"], "jobs")
+    return _ask(work, given, "jobs")
+
+
+# Modes of `check`.
+
+OF_ONE_MAP = ("plan", "starts", "cell_size", "theory")
+OF_WORLDS = ("worlds", "kind", "size", "processes")
+OF_THE_PAPER = ("paper", "maps", "store", "processes", "scheduler")
+WITH_THE_PAPER = ("rollouts", "seed", "out", "json", "progress", "on_interrupt")
+
+
+def check_mode(given: Mapping[str, Any]) -> Literal["world", "worlds", "paper"]:
+    """The mode of `check`; `given`: its arguments by name. Raises UsageError for arguments of another mode."""
+    modes = [name for name in ("world", "worlds", "paper") if given.get(name) is not None]
+    words = {"world": "an INPUT" if COMMAND_LINE.get() else "a world", "worlds": argument("worlds")}
+    words |= {"paper": argument("paper")}
+    if not modes:
+        raise UsageError("nothing to check", expected=f"{words['world']}, {words['worlds']} or {words['paper']}")
+    if len(modes) > 1:
+        raise UsageError(f"both {words[modes[0]]} and {words[modes[1]]} are given", expected="one of them")
+    (mode,) = modes
+    if mode != "world" and given["engine"] == "jax":
+        raise UsageError(f"{argument('engine', 'jax')} is for {words['world']}", fix="leave it out")
+    owners = {"world": OF_ONE_MAP, "worlds": OF_WORLDS, "paper": OF_THE_PAPER}
+    usual = {"theory": "main"} | {name: one.default for name, one in OPTIONS.items()}
+    said = [name for name, value in given.items() if value is not None and value != usual.get(name)]
+    if mode == "paper":
+        wrong = [name for name in said if name not in (*OF_THE_PAPER, *WITH_THE_PAPER)]
+    else:
+        wrong = [name for name in said if name in sum(owners.values(), ()) and name not in owners[mode]]
+    if wrong:
+        owner = next((words[one] for one, names in owners.items() if wrong[0] in names), "the others")
+        named, one = " and ".join(map(argument, wrong)), len(wrong) == 1
+        raise UsageError(f"{named} {'is' if one else 'are'} for {owner}", fix=f"leave {'it' if one else 'them'} out")
+    return mode  # type: ignore[return-value]
 
 
 # Searches: team sizes, trade-offs, start positions, threats to remove or to add.
-
-Answered = TypeVar("Answered", bound=Found)
 
 
 def _settings(world: World, options: Mapping[str, Any]) -> Settings:
@@ -862,22 +997,9 @@ def _settings(world: World, options: Mapping[str, Any]) -> Settings:
     return settings_of(world, **{name: options[name] for name in SETTINGS if name in options and name != "deadline"})
 
 
-def _rollouts(options: Mapping[str, Any], **how: Any) -> RolloutChoices:
-    """The rollouts among the options; `how` replaces some. Raises UsageError."""
-    given = {name: options[name] for name in ("seed", "engine", "deadline", "exact")}
-    return RolloutChoices(first_only=_first_only(options), **{**given, **how})
-
-
-def _first_only(options: Mapping[str, Any]) -> bool:
-    """Whether only first visits can destroy a robot. Raises UsageError for an unknown word."""
-    check_word("threat_checks", options["threat_checks"], OPTIONS["threat_checks"].words)
-    return bool(options["threat_checks"] == "first_visit")
-
-
-def _ask(search: Callable[..., Answered], options: Mapping[str, Any]) -> Answered:
+def _found(search: Callable[..., Answered], options: Mapping[str, Any]) -> Answered:
     """The result of a search, with progress reports."""
-    work = lambda tell, doing: search(progress=tell, doing=doing)  # noqa: E731
-    return ask(work, options["progress"], options["on_interrupt"])
+    return _ask(lambda tell, doing: search(progress=tell, doing=doing), options)
 
 
 @takes(SizeOptions, deadline=REPORTED)
@@ -888,21 +1010,32 @@ def size(
     confidence: float | None = None,
     complete: bool = False,
     meaning: Literal["visited", "survived"] = "visited",
-    most: int = 64,
+    most: int | None = None,
     starts: ArrayLike | None = None,
     loop: Loop | None = None,
     rollouts: int | None = None,
     precision: float | None = None,
     **options: Unpack[SizeOptions],
 ) -> TeamSize:
-    """The smallest team that covers `target` on average, or with probability `confidence`; `complete`: every cell.
+    """The smallest team with a given expected coverage, or a given probability of it.
+
+    A team is enough if the whole interval is at or above the target, and not enough if it is below. With a deadline the
+    coverage at that step decides.
 
     Args:
-        meaning: of "covered". most: largest team to try.
+        target: Fraction of the accessible cells to cover, above 0, at most 1.
+        confidence: Required chance of covering the target (default: expected coverage decides; with `complete`: 0.95).
+        complete: Cover every accessible cell: `target` 1 with a confidence.
+        meaning: A cell counts when a robot enters it (visited) or leaves it alive (survived) (default: visited).
+        most: Largest team to evaluate (default: 64; at most the number of starts).
         starts: `[[row, col], ...]`, of which a team takes the first; default: the world's own, else its start rule.
-        loop: as of `evaluate`. rollouts: of each team, at most (default: 100,000); or `precision`.
+        loop: closed: survivors take over the work of lost robots (default); open: fixed paths.
+        rollouts: Largest number of rollouts of each team (default: 100000).
+        precision: Stop at this half-width of the 95 % interval of mean coverage, a fraction.
     """
+    from analysis.sampling import how_much
     from analysis.search.team_size import find_size, make_goal
+    from planner.world.world import check_starts
 
     settings = _settings(world, options)
     goal = make_goal(target, confidence, complete, meaning, most)
@@ -911,9 +1044,7 @@ def size(
     choices = _rollouts(options, loop=loop, **amount)
     if starts is not None:
         world = world.with_starts(check_starts(starts, world.met, "starts"))
-
-    search = partial(find_size, world, settings, goal, choices)
-    return _ask(search, options)
+    return _found(partial(find_size, world, settings, goal, choices), options)
 
 
 @takes(FrontOptions)
@@ -924,31 +1055,35 @@ def front(
     starts: ArrayLike | None = None,
     losses: float | None = None,
     target: float | None = None,
-    risk_caps: Sequence[float] | None = None,
     robot_values: Sequence[float] | None = None,
+    risk_caps: Sequence[float] | None = None,
     rollouts: int | None = None,
     **options: Unpack[FrontOptions],
 ) -> Front:
-    """Coverage against losses: policies, early ends, risk caps and robot values on common random numbers.
+    """Coverage against lost robots: the Pareto front of policies, risk caps and robot values.
+
+    With `losses` or `target` one setting is selected and confirmed by other rollouts; `answer.plan_of(answer.picked)`
+    is its plan.
 
     Args:
         robots, starts: the team, as of `plan`.
-        losses: pick the setting with the highest coverage that loses at most this many robots on average; or `target`:
-            the one with the fewest losses that covers this much. `answer.plan_of(answer.picked)` is its plan.
-        risk_caps, robot_values: values to try (default: derived from the map).
-        rollouts: of each setting, the same for all; None: 4,096, fewer above 2,048 accessible cells.
+        losses: Select the setting with the highest coverage at this mean number of lost robots.
+        target: Select the setting with the fewest lost robots at this mean coverage, a fraction.
+        robot_values: Values of `robot_value` to evaluate: "5,10,20" (default: a doubling series).
+        risk_caps: Values of `risk_cap` to evaluate (default: 0.1,0.25,0.5 up to 1,000 accessible cells).
+        rollouts: Number of rollouts of each setting (default: 4096; fewer above 2,048 accessible cells).
     """
+    import numpy as np
+
     from analysis.search.pareto import Ladders, find_front, make_goal, usual_rollouts
+    from planner.world.start_rule import starts_of
 
     settings, goal = _settings(world, options), make_goal(losses, target)
-    ladders = Ladders(
-        None if risk_caps is None else tuple(risk_caps), None if robot_values is None else tuple(robot_values)
-    )
+    caps, values = (None if given is None else tuple(given) for given in (risk_caps, robot_values))
+    ladders = Ladders(caps, values)
     placed = np.asarray(starts_of(world, robots, starts))
     choices = _rollouts(options, rollouts=usual_rollouts(world, placed) if rollouts is None else rollouts)
-
-    search = partial(find_front, world, placed, settings, choices, goal=goal, ladders=ladders)
-    return _ask(search, options)
+    return _found(partial(find_front, world, placed, settings, choices, goal=goal, ladders=ladders), options)
 
 
 @takes(SearchOptions)
@@ -957,24 +1092,32 @@ def starts(
     robots: int | None = None,
     *,
     depot: bool = False,
-    candidates: ArrayLike = "border",
+    candidates: ArrayLike | str | Path = "border",
     rollouts: int = 4096,
     **options: Unpack[SearchOptions],
 ) -> Starts:
-    """The best starts of a team, one each or (`depot`) one for all: `answer.starts`, `answer.world_with_starts`.
+    """The best start cells: one for each robot, or one for all.
+
+    Candidates are screened by a bound; the best are simulated on common random numbers, and the winner is compared with
+    the present starts on other rollouts. If it is not significantly better, the answer is to stay. `candidates` may
+    also be an array: a mask `[H, W]`, or cells `[[row, col], ...]`.
 
     Args:
-        robots: their number (default: that of the world's own team).
-        candidates: "border", the safe cells on the border of the map; a mask `[H, W]`; or cells `[[row, col], ...]`.
-        rollouts: of each of the last two candidates.
+        robots: Number of robots (default: as in the input, else 1).
+        depot: One start for all robots instead of one each.
+        candidates: Cells to start from: border, the safe cells on the border of the map; or a file, a mask or rows of
+            row,col as .npy or .csv (default: border).
+        rollouts: Number of rollouts of each candidate (default: 4096).
     """
-    from analysis.search.start_positions import find_starts, team_size
+    from analysis.search.start_positions import BORDER, find_starts, read_candidates, team_size
 
-    settings, choices = _settings(world, options), _rollouts(options, rollouts=rollouts)
-    size = team_size(world, robots)
-
-    search = partial(find_starts, world, size, settings, choices, depot=depot, candidates=candidates)
-    return _ask(search, options)
+    settings, choices, source = _settings(world, options), _rollouts(options, rollouts=rollouts), ""
+    if isinstance(candidates, str | Path) and candidates != BORDER:
+        source = str(candidates)
+        candidates, notes = read_candidates(Path(source))
+        say([f"{source}: {note}" for note in notes])
+    search = partial(find_starts, world, team_size(world, robots), settings, choices, depot=depot)
+    return _found(partial(search, candidates=candidates, source=source), options)
 
 
 @overload
@@ -996,21 +1139,68 @@ def threats(
 ) -> Clearing | Attack:
     """The threats to remove first (`remove`), or the worst cells for new ones (`add`).
 
+    `remove` gives the gain with a new plan and with the old one. `add` gives the cost if the robots know the new
+    threats and if they do not. Candidates are compared on common random numbers and confirmed by other rollouts.
+
     Args:
-        remove: number of threats to remove, one after the other: `answer.picks`, `answer.gain`.
-        add: number of new threats: `answer.known`, `answer.hidden`, and the worlds with them.
-        unit: of `remove`: the connected "areas" of danger, or the "sources", the polygons, points and sites of a
-            scenario's threats; None: sources where there are several.
-        p: of `add`: probability that a visit destroys a robot, in addition to the other threats (0.2).
+        remove: Find this many threats to remove, one after the other (default: 1).
+        add: Find this many cells for new threats, the most harmful ones (default: 1).
+        unit: A threat to remove: a connected area of danger (areas), or a polygon, point or site of the scenario
+            (sources) (default: sources if there are several).
+        p: With `add`: p of a new threat (default: 0.2).
         robots, starts: the team, as of `plan`.
-        rollouts: of each of the last two candidates.
+        rollouts: Number of rollouts of each candidate (default: 4096).
     """
+    import numpy as np
+
     from analysis.search.threats import threats_search
+    from planner.world.start_rule import starts_of
 
     settings, choices = _settings(world, options), _rollouts(options, rollouts=rollouts)
     search: Any = threats_search(remove, add, unit, p)
     placed = np.asarray(starts_of(world, robots, starts))
-    return _ask(partial(search, world, placed, settings, choices), options)
+    return _found(partial(search, world, placed, settings, choices), options)
+
+
+def studio(
+    world: World,
+    robots: int | None = None,
+    *,
+    starts: ArrayLike | None = None,
+    seed: int = 0,
+    port: int | None = None,
+    out: str | Path | None = None,
+) -> None:
+    """A local page to draw threats, obstacles and starts, with the answer; Ctrl-C ends it.
+
+    The page is served on this machine only, at the printed address (needs the extra `studio`).
+
+    Args:
+        robots, starts: the team, as of `plan`.
+        seed: of the rollouts.
+        port: Port of the page (default: a free one).
+        out: Scenario file (.yaml) that Save writes (default: INPUT-studio.yaml).
+    """
+    from analysis.inputs import studio_scenario
+    from analysis.sampling import RolloutChoices
+    from analysis.utils.progress import ANNOUNCER, lines_now_and_then, notice_compiling, run_loop
+    from planner.world.start_rule import starts_of
+
+    try:
+        from analysis.studio.server import Sketch, Studio, serve
+    except ImportError:
+        raise UsageError("tornado is not installed", fix='pip install "mrac-jax[studio]"') from None
+    check_world(world)
+    whole(1, 65535, "a port").check("port", port, optional=True)
+    RolloutChoices(seed=seed)  # raises UsageError for an invalid seed
+    first = Sketch.of(world, len(starts_of(world, robots, starts)), settings_of(world))
+    room = Studio(first, Path(world.source).name, studio_scenario(world.source, out), seed)
+    notice_compiling()
+    try:
+        with lines_now_and_then(lambda _: ANNOUNCER.line()):
+            run_loop(serve(room, port or 0, lambda address: say([f"open {address}", "Ctrl-C ends it"])))
+    except KeyboardInterrupt:
+        say(["studio ended"])
 
 
 # Names of release 0.3, for one release.
@@ -1033,6 +1223,6 @@ OF_0_3: dict[str, Callable[..., Any]] = {
 }  # fmt: skip
 """Functions of release 0.3, with their old arguments (`mrac_jax.OF_0_3`)."""
 __all__ = [
-    "check", "compare", "drive", "evaluate", "export", "front", "generate", "judge", "load", "plan", "read_outcomes",
-    "read_rollouts", "record", "results", "size", "starts", "suite", "sweep", "threats",
+    "check", "compare", "drive", "evaluate", "export", "front", "generate", "inspect", "judge", "load", "plan",
+    "read_outcomes", "read_rollouts", "record", "results", "size", "starts", "studio", "suite", "sweep", "threats",
 ]  # fmt: skip

@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arguments import COMMAND_LINE, FRACTION, MAX_PLAN_BYTES, argument, did_you_mean, numbers_of
+from planner.arguments import FRACTION, MAX_PLAN_BYTES, argument, did_you_mean
 from planner.errors import InputError, PlanError, StateError, UsageError
 from planner.files import read_json, why_no_file
 from planner.formatting import counted
 from planner.plan.plan import FORMAT, Plan
 from planner.plan.state import MissionState
 from planner.policies.rules import PER_CELL
-from planner.settings import BEARING, BEST, KEPT, OPTIONS, Choices, Settings
+from planner.settings import BEARING, BEST, KEPT, Choices, Settings
 from planner.world.keys import named_files, read_yaml
 from planner.world.map_files import YAML
 from planner.world.world import EXAMPLE, World, check_starts
+
+if TYPE_CHECKING:
+    from planner.world.generate import ThreatPattern
 
 REACHED = 0.5
 """A note reports the reachable fraction of the free cells if it is at most this."""
@@ -53,6 +56,11 @@ def input_path(name: str) -> Path:
     return known[wanted]
 
 
+def studio_scenario(name: str, out: str | Path | None) -> Path:
+    """The scenario that a studio for this INPUT saves."""
+    return Path(f"{input_path(name).stem}-studio.yaml") if out is None else Path(out)
+
+
 def read_files(name: str | None, *others: Path | None) -> list[Path]:
     """Input files: that of an INPUT, `others`, and the files that scenarios and ROS maps among them name."""
     found = [*([input_path(name)] if name else []), *(one for one in others if one is not None)]
@@ -77,7 +85,7 @@ class Asked:
 
     Attributes:
         source: an INPUT. choices: the planner's settings that the user gave.
-        robots: their number. starts: their cells, "row,col;row,col;...". cell_size: of a bare map, in metres.
+        robots: their number. starts: their cells, (row, col) each. cell_size: of a bare map, in metres.
         step_seconds, speed, turn: as of `World.with_pace`.
         sensor_range: sensor range in cells of robots without a known map.
     """
@@ -85,7 +93,7 @@ class Asked:
     source: str
     choices: Choices
     robots: int | None = None
-    starts: str | None = None
+    starts: Sequence[Sequence[int]] | None = None
     cell_size: float | None = None
     step_seconds: float | None = None
     speed: float | None = None
@@ -111,7 +119,7 @@ def load_task(asked: Asked) -> Task:
     world = asked.load()
     notes, team = world.notes, world.team
     if starts is not None:
-        world = world.with_starts(check_starts(parse_starts(starts), world.met, argument("starts")))
+        world = world.with_starts(check_starts(starts, world.met, argument("starts")))
     if world.starts is not None:
         check_same_team(robots, world.starts, asked.source if starts is None else argument("starts"))
         placed = world.starts
@@ -133,22 +141,6 @@ def _cut_off(world: World, starts: NDArray[np.int64]) -> tuple[str, ...]:
         return ()
     far = 100 * (1 - near / free)
     return (f"{near:,} of {free:,} free cells can be reached from the starts: obstacles cut {far:.0f} % off",)
-
-
-def parse_starts(text: str) -> NDArray[np.int64]:
-    """`"r,c;r,c;..."` as int64 `[K, 2]`; raises UsageError for a part that is not a pair of integers."""
-    pairs = []
-    for part in text.split(";"):
-        try:
-            row, col = (int(number) for number in part.split(","))
-        except ValueError:
-            raise UsageError(
-                f"{argument('starts')}: {part!r}", expected='"row,col;row,col;..." in whole numbers'
-            ) from None
-        if max(abs(row), abs(col)) >= 2**31:
-            raise UsageError(f"{argument('starts')}: {part!r}", expected="a cell of the map")
-        pairs.append([row, col])
-    return np.array(pairs, dtype=np.int64)
 
 
 Found = tuple[World, Plan, tuple[str, ...]]
@@ -190,8 +182,7 @@ def load_or_make_plan(
         first(task.world)
     if doing is not None:
         doing("the best policy" if sought else "planning")
-    make = find_best if sought else plan_team
-    made = make(task.world, task.starts, task.settings, seconds)
+    made = (find_best if sought else plan_team)(task.world, task.starts, task.settings, seconds)
     return task.world, made, task.notes + made.notes
 
 
@@ -226,7 +217,7 @@ def _plan_the_rest(asked: Asked, file: Path, plan_file: Path | None) -> Found:
         other = argument("plan")
         raise UsageError(f"both {argument('state')} and {other}", expected="one of them", fix=f"leave {other} out")
     world = asked.load()
-    state, notes = read_state(file, world, None if asked.starts is None else parse_starts(asked.starts))
+    state, notes = read_state(file, world, asked.starts)
     check_team(asked, len(state.robots), file)
     made = plan_from_state(
         world, state, asked.choices.settings(world.team.settings, world.pace, by=world.source), str(file)
@@ -252,7 +243,7 @@ def _load_plan(asked: Asked, plan_file: Path) -> Found:
 
     world, plan = read_plan_on(plan_file, asked.load())
     check_team(asked, len(plan.robots), plan_file)
-    if asked.starts is not None and not np.array_equal(parse_starts(asked.starts), plan.starts):
+    if asked.starts is not None and not np.array_equal(asked.starts, plan.starts):
         raise UsageError(f"{argument('starts')} contradicts the starts of {plan_file}", fix="leave it out")
     given = asked.choices.given()
     given |= {name: world.pace.last_step(name, given[name]) for name in given.keys() & {"deadline"}}
@@ -280,75 +271,30 @@ def _other(world: World, plan: Plan, plan_file: Path) -> tuple[str, ...]:
     return (f"{plan_file} was made for another {other} than {world.source} says: its own count",) if other else ()
 
 
-OF_ONE_MAP = ("plan", "starts", "cell_size", "theory")
-OF_WORLDS = ("worlds", "kind", "size", "processes")
-OF_THE_PAPER = ("paper", "maps", "store", "processes", "scheduler")
-WITH_THE_PAPER = ("rollouts", "seed", "out", "json", "progress", "on_interrupt")
-
-
-def check_mode(given: Mapping[str, Any]) -> Literal["world", "worlds", "paper"]:
-    """The mode of `check`; `given`: its arguments by name. Raises UsageError for arguments of another mode."""
-    modes = [name for name in ("world", "worlds", "paper") if given.get(name) is not None]
-    words = {"world": "an INPUT" if COMMAND_LINE.get() else "a world", "worlds": argument("worlds")}
-    words |= {"paper": argument("paper")}
-    if not modes:
-        raise UsageError("nothing to check", expected=f"{words['world']}, {words['worlds']} or {words['paper']}")
-    if len(modes) > 1:
-        raise UsageError(f"both {words[modes[0]]} and {words[modes[1]]} are given", expected="one of them")
-    (mode,) = modes
-    if mode != "world" and given["engine"] == "jax":
-        raise UsageError(f"{argument('engine', 'jax')} is for {words['world']}", fix="leave it out")
-    owners = {"world": OF_ONE_MAP, "worlds": OF_WORLDS, "paper": OF_THE_PAPER}
-    usual = {"theory": "main"} | {name: one.default for name, one in OPTIONS.items()}
-    said = [name for name, value in given.items() if value is not None and value != usual.get(name)]
-    if mode == "paper":
-        wrong = [name for name in said if name not in (*OF_THE_PAPER, *WITH_THE_PAPER)]
-    else:
-        wrong = [name for name in said if name in sum(owners.values(), ()) and name not in owners[mode]]
-    if wrong:
-        owner = next((words[one] for one, names in owners.items() if wrong[0] in names), "the others")
-        named, one = " and ".join(map(argument, wrong)), len(wrong) == 1
-        raise UsageError(f"{named} {'is' if one else 'are'} for {owner}", fix=f"leave {'it' if one else 'them'} out")
-    return mode  # type: ignore[return-value]
-
-
 def generate_world(
     on: str | None,
-    kind: Literal["contiguous", "scattered"],
+    pattern: ThreatPattern,
     size: str | None,
     obstacles: float | None,
-    ratio: float | None,
-    areas: int | None,
-    levels: str | None,
-    seed: int | None,
+    share: float,
     robots: int | None,
     cell_size: float | None = None,
 ) -> tuple[World, tuple[str, ...]]:
     """(world, notes): a random world of SPEC section 8, or the INPUT `on` with random threats on its free cells."""
-    from planner.world.generate import PAPER_LEVELS, ThreatPattern, check_pattern, random_threats, random_world
+    from planner.world.generate import check_pattern, random_threats, random_world
     from planner.world.robot_types import independent
     from planner.world.start_rule import check_robots, place_starts
 
     if on is not None and (size is not None or obstacles is not None):
-        raise UsageError(
-            f"{argument('size')} and {argument('obstacles')} are those of the map",
-            fix=f"leave them out, or leave {argument('map')} out",
-        )
+        problem = f"{argument('size')} and {argument('obstacles')} are those of the map"
+        raise UsageError(problem, fix=f"leave them out, or leave {argument('map')} out")
     if on is None and cell_size is not None:
         problem = (
             f"{argument('cell_size', cell_size)} is for a map that is coarsened; cells of a generated world have 1 m"
         )
         raise UsageError(problem, fix=f"leave it out, or name a map with {argument('map')}")
-    if kind == "scattered" and areas is not None:
-        raise UsageError(
-            f"{argument('areas')} is for contiguous threats",
-            fix=f"leave it out, or use {argument('kind', 'contiguous')}",
-        )
-    share = 0.25 if ratio is None else ratio
     FRACTION.check("ratio", share)
     check_robots(robots)
-    chosen = PAPER_LEVELS if levels is None else numbers_of("levels", levels, 'probabilities "0.04,0.08,..."')
-    pattern = ThreatPattern(kind, 10 if areas is None else areas, chosen, seed or 0)
     check_pattern(pattern)
     notes: tuple[str, ...] = ()
     if on is None:

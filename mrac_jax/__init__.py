@@ -4,6 +4,7 @@ The public API: `import mrac_jax as mrac`, then `mrac.load`, `mrac.plan`, `mrac.
 `__all__`. Each name is imported at its first use. `analysis` and `planner` import nothing through this module.
 """
 
+# ruff: noqa: F405 (the names of `analysis.api`)
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -19,27 +20,7 @@ from mrac_jax import forks as forks  # which has to be there before a fork
 
 if TYPE_CHECKING:
     from analysis import plots
-    from analysis.api import (
-        check,
-        compare,
-        drive,
-        evaluate,
-        export,
-        front,
-        generate,
-        judge,
-        load,
-        plan,
-        read_outcomes,
-        read_rollouts,
-        record,
-        results,
-        size,
-        starts,
-        suite,
-        sweep,
-        threats,
-    )
+    from analysis.api import *  # noqa: F403
     from mrac_jax import functional
     from mrac_jax.env.making import env
     from planner.errors import InputError
@@ -52,8 +33,8 @@ if TYPE_CHECKING:
 __version__ = next((found.version for found in distributions(name="mrac-jax")), "0+unknown")  # not installed
 __all__ = [
     "InputError", "Plan", "Settings", "World", "check", "closed_loop_gradient", "compare", "drive", "env", "evaluate",
-    "export", "front", "functional", "generate", "judge", "load", "plan", "plots", "read_outcomes", "read_plan",
-    "read_rollouts", "record", "results", "size", "starts", "suite", "sweep", "threats",
+    "export", "front", "functional", "generate", "inspect", "judge", "load", "plan", "plots", "read_outcomes",
+    "read_plan", "read_rollouts", "record", "results", "size", "starts", "studio", "suite", "sweep", "threats",
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",
@@ -130,7 +111,7 @@ def _functions() -> dict[str, FunctionType]:
 
 
 def __dir__() -> list[str]:
-    return [*__all__, "__version__"]
+    return __all__
 
 
 def _check_is_ours(package: str) -> None:

@@ -177,14 +177,6 @@ def check_word(
     raise error(argument(name, value), source=source, expected=expected, fix=did_you_mean(value, words))
 
 
-def numbers_of(name: str, text: str, expected: str) -> tuple[float, ...]:
-    """The numbers of "0.5,1,2". Raises UsageError, which names the argument."""
-    try:
-        return tuple(map(float, text.split(",")))
-    except ValueError:
-        raise UsageError(f"{argument(name)} {text!r}", expected=expected) from None
-
-
 def nearest(given: object, words: Iterable[str], likeness: float = 0.6) -> str:
     """The word of `words` closest to `given`, "" if none is close. Case, - and _ do not count.
 

@@ -66,7 +66,7 @@ class Setting:
         title: its name on pages. help: text of its option.
         group: heading in `--help`. default: of an option that is not a setting.
         form: kind of an option whose values are neither numbers nor words: "flag", "switch" (a flag with a `--no-`),
-            "path", "text", "texts" (may be repeated), "effort" (of `exact`), "reach" (a number of cells, or inf).
+            "cells", "path", "text", "texts" (may be repeated), "effort" (of `exact`), "reach" (cells, or inf).
         rare: listed by `--help-all` only.
         numbers: accepted numbers. each: one for all, or a tuple with one a robot. words: accepted words.
         names: a name, or a tuple with one a robot.
@@ -431,7 +431,7 @@ def _option(
 
 OPTIONS: dict[str, Setting] = SETTINGS | dict([
     _option(TEAM, "robots", "Number of robots (default: the input's starts or count, else 1).", numbers=whole(1, 1024)),
-    _option(TEAM, "starts", 'Start cells, "row,col;row,col;..." (default: the input\'s, else upper left).', "text"),
+    _option(TEAM, "starts", 'Start cells, "row,col;row,col;..." (default: the input\'s, else upper left).', "cells"),
     _option(TEAM, "cell_size", "Side of a cell in metres; a bare map is coarsened to it (default: its pixels)."),
     _option(TEAM, "step_seconds", "Duration of a step in seconds; adds times in minutes.", rare=True),
     _option(TEAM, "speed", "Speed in metres per second, instead of --step-seconds.", rare=True),

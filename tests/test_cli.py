@@ -578,7 +578,7 @@ def test_interrupted_prints_what_was_done(capsys: pytest.CaptureFixture[str], mo
 RENAMED = {
     "clear a.npz --count 2 --remove areas": "threats a.npz --remove 2 --unit areas",
     "clear a.npz --rollouts 9": "threats a.npz --rollouts 9 --remove 1",
-    "attack a.npz --count=2 --p 0.3": "threats a.npz --add 2 --p 0.3",
+    "attack a.npz --count=2 --p 0.3": "threats a.npz --add=2 --p 0.3",
     "replay a.mcap --all": "inspect a.mcap --all --replay",
     "recover a.mcap --out b.mcap": "inspect a.mcap --repair b.mcap",
     "recover a.mcap": "inspect a.mcap --repair a.recovered.mcap",

@@ -275,7 +275,7 @@ def test_the_command_on_teams_settings_plans_and_loops(capsys: pytest.CaptureFix
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("compare WORLD --b.robots 0", "b:"),
+        ("compare WORLD --b.robots 0", "--b.robots 0; expected a whole number, 1 to 1024"),
         ("compare WORLD --b.robot 3", "did you mean"),
         ("compare nowhere.npz", "a: nowhere.npz"),
         ("compare WORLD nowhere.npz", "b: nowhere.npz"),

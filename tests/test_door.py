@@ -17,7 +17,7 @@ from helpers import ROOT, error_of
 
 import mrac_jax as mrac
 from analysis.checking.check import make_survey
-from analysis.inputs import Asked, load_task, parse_starts
+from analysis.inputs import Asked, load_task
 from analysis.sampling import RolloutChoices
 from analysis.search.team_size import make_goal
 from planner.arguments import COMMAND_LINE, Numbers, argument, is_real, is_whole, nearest
@@ -127,7 +127,6 @@ def test_a_scenario_brings_its_team(tmp_path: Path) -> None:
     (tmp_path / "s.yaml").write_text("map: danger.npy\nlevels: 3\nrobots: {count: 3}\n")
     plan = mrac.plan(mrac.load(tmp_path / "s.yaml"))
     assert len(plan.robots) == 3
-    assert plan.settings is not None
     assert plan.settings.levels == 3
     assert len(mrac.plan(mrac.load("example:paper")).robots) == 1
     with pytest.raises(mrac.InputError):
@@ -162,7 +161,7 @@ WRONG = {
     "no file": (lambda world, plan: mrac.read_plan("none.json", world), "none.json: no such file"),
     "keyword": (
         lambda world, plan: mrac.evaluate(world, plan, robots=5),
-        "evaluate has no argument 'robots'; expected one of policy, state, loop",
+        "evaluate has no argument 'robots'; expected one of policy, state, rollouts",
     ),
     "robots": (lambda world, plan: mrac.evaluate(world, robots=5), "; give plan=5, the number of robots to plan for"),
     "robots of check": (lambda world, plan: mrac.check(world, robots=5), "; give plan=5, the number of robots to"),
@@ -286,7 +285,6 @@ def test_an_answer_says_its_figures_once(tmp_path: Path) -> None:
     compared = mrac.compare((world, plan), (world, plan), rollouts=10).save(tmp_path / "compared")
     assert {"index.html", "compare.json"} <= {file.name for file in compared}
     opened = mrac.evaluate(world, plan, loop="open", rollouts=10)
-    assert opened.exact.visited is not None
     assert opened.visited.mean == opened.exact.visited.mean
     assert opened.exact.visited.cells == opened.closed_form.visited
     assert opened.losses.ci95 == (opened.losses.mean, opened.losses.mean)
@@ -424,7 +422,6 @@ def test_settings_are_checked_before_planning(settings: dict[str, Any], said: st
         (lambda: random_world(pattern=ThreatPattern(kind="patchy")), "kind='patchy'"),  # type: ignore[arg-type]
         (lambda: random_world(pattern=ThreatPattern(seed=1.5)), "seed=1.5"),  # type: ignore[arg-type]
         (lambda: place_starts(WORLD_ARGUMENTS, 1, "middle"), "start rule 'middle'"),
-        (lambda: parse_starts("0,x"), "starts: '0,x'"),
         (lambda: load_task(Asked("example:paper", Choices(), 0)), "robots=0"),
         (lambda: load_task(Asked("example:paper", Choices(risk="brave"))), "risk='brave'"),  # type: ignore[arg-type]
     ],

@@ -206,7 +206,6 @@ def example(name: str) -> types.ModuleType:
     path = ROOT / "docs" / "examples" / f"{name}.py"
     assert len(path.read_text().splitlines()) <= 100
     spec = importlib.util.spec_from_file_location(f"example_{name}", path)
-    assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

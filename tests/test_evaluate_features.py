@@ -22,7 +22,7 @@ from analysis.estimators.racing import MOST_MAPS, sample_with_known_hazards
 from analysis.evaluation.evaluate import Evaluation
 from analysis.evaluation.figures import BEFORE, BEYOND, TO_DO, rest_of
 from analysis.evaluation.layers import run_of, runs
-from analysis.evaluation.outputs.information import Knowledge, entropy_of, parse_ranges
+from analysis.evaluation.outputs.information import Knowledge, entropy_of
 from analysis.evaluation.report import remainder_text, report
 from analysis.evaluation.tables import threats
 from analysis.inputs import Asked, load_task
@@ -341,12 +341,6 @@ def test_words_and_page(answer: Evaluation, tmp_path: Path) -> None:
         assert words in text and words in page
     assert (tmp_path / "believed.png").exists() and (tmp_path / "sense.png").exists()
     assert "Theorem 3" not in text and "Paths: the plan" not in page
-
-
-def test_no_range_is_no_list_of_ranges() -> None:
-    assert parse_ranges(None) == () and parse_ranges("0,2,inf") == (0, 2, inf)
-    with pytest.raises(InputError, match="ranges in cells"):
-        parse_ranges("")
 
 
 @pytest.mark.parametrize(

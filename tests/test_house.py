@@ -43,7 +43,7 @@ from planner.world.start_rule import place_starts
 # The house: imports point back along planner -> analysis -> mrac_jax, oracles see no engine, and names no host.
 
 ROOMS = ("planner", "analysis", "mrac_jax")
-DOOR = re.compile(r"mrac_jax|mrac_jax\.__main__|mrac_jax\.env\.suite|analysis\.api(\.\w+)?")
+DOOR = re.compile(r"mrac_jax|mrac_jax\.__main__|mrac_jax\.env\.suite|analysis\.(api|cli)(\.\w+)?")
 ANSWERS = ("evaluation", "comparison", "checking", "experiments", "sweeps", "recording", "search", "policy_evaluation")
 KITS = ("statistics", "theory", "page", "pictures", "utils", "report", "exporting")
 

@@ -194,7 +194,6 @@ def test_a_test_run_that_is_killed_leaves_no_sweep(tmp_path: Path) -> None:
     (tmp_path / "a.yaml").write_text(SPEC)
     words = [sys.executable, "-c", BETWEEN, *WORDS]
     between = subprocess.Popen(words, cwd=tmp_path, env=ENVIRONMENT, stdout=subprocess.PIPE)
-    assert between.stdout is not None
     sweep = int(between.stdout.readline())
     processes = [sweep, *two_below(sweep)]
     between.kill()

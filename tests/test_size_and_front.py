@@ -238,8 +238,6 @@ def test_no_team_exceeds_its_ideals() -> None:
         rolled = [point for point in size.points if point.rollouts]
         assert len(rolled) > 3
         for point in rolled:
-            assert point.coverage is not None
-            assert point.chance is not None
             assert point.coverage.ci95[0] <= point.ideal_coverage
             assert point.chance.ci95[0] <= point.ideal_chance
 
@@ -256,8 +254,6 @@ def test_expected_coverage_of_a_world_with_known_means() -> None:
     assert size.point(1).verdict is TeamVerdict.NOT_ENOUGH
     for robots, mean in means.items():
         point = size.point(robots)
-        assert point.coverage is not None
-        assert point.interval is not None
         assert abs(point.coverage.mean - mean) <= 5 * point.coverage.se
         assert point.interval[0] <= mean <= point.interval[1]
         assert point.interval[0] < point.coverage.ci95[0]  # all verdicts together are to hold, not this one alone
@@ -269,7 +265,6 @@ def test_chance_of_a_corridor_with_one_danger() -> None:
     assert size.robots == 5  # 1 - 0.5**4 = 0.9375, 1 - 0.5**5 = 0.96875
     for robots in (1, 2, 3, 4, 5):
         point = size.point(robots)
-        assert point.chance is not None
         assert abs(point.chance.mean - (1 - 0.5**robots)) <= 5 * np.sqrt(0.25 / point.rollouts)
     # Two cells are always visited and the third as often as all: (3 - 0.5**K) / 3 reaches 0.95 with K = 3.
     assert sized(HALF, make_goal(0.95, None, False)).robots == 3
@@ -333,7 +328,6 @@ def test_explicit_starts_in_two_parts_of_a_map() -> None:
     # The first robot alone reaches half of what the team reaches: enough for half, of the same denominator.
     half = sized(world, make_goal(0.5, None, False))
     assert half.robots == 1
-    assert half.point(1).coverage is not None
     assert half.point(1).coverage.mean == 0.5  # type: ignore[union-attr]
     # The same sampled: both cells of its part are always visited, half of all.
     risky = sized(World.create([[0.0, 0.5, NAN, 0.0, 0.0]], starts=[[0, 0], [0, 4]]), make_goal(0.45, None, False))
@@ -371,16 +365,13 @@ def test_a_deadline_counts_what_evaluate_counts() -> None:
             plan = make_plan(world, place_starts(world, point.robots)[0])
             found = evaluate(world, plan, RolloutChoices(loop=loop, rollouts=4096, deadline=40))  # type: ignore[arg-type]
             cut = found.outputs.get("deadline")
-            assert cut is not None
             visited, n = cut.tally.visited, size.cells
             by_then = (
                 found.closed_form.by_deadline(40)[0] / n
                 if loop == "open"
                 else tally_mean(cut.tally, "visited", 1 / n).mean
             )
-            assert point.coverage is not None
             assert point.coverage.mean == pytest.approx(by_then, rel=1e-12)
-            assert point.chance is not None
             assert point.chance.mean == pytest.approx(visited[size.needed :].sum() / visited.sum())
 
 
@@ -420,7 +411,6 @@ def test_the_headline_is_of_rollouts_that_had_no_part_in_the_choice() -> None:
     choices = RolloutChoices(rollouts=8192, seed=3, engine="numba", exact="never")
     found = find_size(world, Settings(), make_goal(0.66, None, False), choices)
     own, fresh = found.point(found.robots or 0), found.confirmed
-    assert fresh is not None and own.coverage is not None and fresh.coverage is not None
     start = max(point.rollouts for point in found.points)
     plan = plan_team(world, found.starts[: found.robots], Settings())
     engine = make_engine_for(world, plan, choices)

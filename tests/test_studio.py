@@ -426,7 +426,6 @@ def test_ctrl_c_ends_the_studio_in_the_middle_of_an_answer(tmp_path: Path) -> No
     command = [sys.executable, "-m", "mrac_jax", "studio", "example:paper"]
     with subprocess.Popen(command, cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)}, stderr=subprocess.PIPE,
                           text=True) as process:  # fmt: skip
-        assert process.stderr is not None
         address = process.stderr.readline().split()[-1]
         place = urlsplit(address)
         connection = http.client.HTTPConnection(place.hostname or "", place.port, timeout=60)

@@ -16,19 +16,13 @@ from typing import Any
 
 from cyclopts import App, CycloptsError, Group, MissingArgumentError, UnknownOptionError
 
-from analysis.cli import answers, missions, research
+from analysis.cli import answers, missions, research  # noqa: F401 (which make the commands)
 from analysis.cli.console import BAD_INPUT, COMMAND, DONE, INTERRUPTED, check_streams, output_console
-from analysis.cli.options import COMMANDS
+from analysis.cli.options import COMMANDS, group_of
 from analysis.utils.notes import elsewhere, say
 from planner.arguments import COMMAND_LINE
 from planner.errors import PER_VISIT, RENAMED, InputError, RenamedWarning, warn_renamed
 
-SECTIONS = (answers.ANSWER, answers.PLACE, missions.DRIVE, missions.RECORD, research.RESEARCH)
-IN_ORDER = (
-    "evaluate", "compare", "front", "size", "studio", "starts", "threats", "plan", "export", "drive", "record",
-    "inspect", "sweep", "results", "check", "generate",
-)  # fmt: skip
-"""Commands, as `--help` lists them."""
 ALL, NO_CACHE_OPTION = "--help-all", "--no-cache"
 """Options of every command, handled before the command runs."""
 
@@ -40,13 +34,15 @@ def make_app(everything: bool) -> App:
         help="How much of a dangerous area will a team of robots cover before it is lost, and how sure are we?",
         help_epilogue=f"{ALL} lists every option. {NO_CACHE_OPTION} keeps no compiled code on disk.",
         help_flags=("--help", "-h", ALL),
-        group_commands=Group("Commands", sort_key=len(SECTIONS)),
+        group_commands=Group("Commands", sort_key=len(COMMANDS)),
         version=lambda: version("mrac-jax"),
         result_action="return_value",
         suppress_keyboard_interrupt=False,
     )
-    for one in sorted(COMMANDS, key=lambda one: IN_ORDER.index(one.name)):
-        one.register(made, SECTIONS.index(one.section), IN_ORDER.index(one.name), everything)
+    sections = list(dict.fromkeys(one.section for one in COMMANDS))
+    for place, one in enumerate(COMMANDS):  # in the order in which they are defined
+        heading = group_of(one.section, sections.index(one.section))
+        made.command(one.bound(everything), name=one.name, group=heading, sort_key=place)
     return made
 
 
@@ -67,12 +63,8 @@ LEFT = {
 
 def _as_threats(words: list[str], action: str) -> list[str]:
     """`clear --count 2 --remove areas` as `threats --remove 2 --unit areas`, `attack` likewise with --add."""
-    spelt = [part for word in words for part in (word.split("=", 1) if word.startswith("--count=") else [word])]
-    spelt = [word.replace("--remove", "--unit") for word in spelt]
-    number = spelt.index("--count") if "--count" in spelt else -1
-    if number < 0:
-        return ["threats", *spelt, action, "1"]
-    return ["threats", *(action if at == number else word for at, word in enumerate(spelt))]
+    spelt = [word.replace("--remove", "--unit").replace("--count", action) for word in words]
+    return ["threats", *spelt, *([] if any(word.startswith(action) for word in spelt) else [action])]
 
 
 def _as_repair(words: list[str]) -> list[str]:
@@ -126,7 +118,7 @@ def _unknown(error: UnknownOptionError) -> str:
         return f"{given}: {LEFT[given]}"
     options = {
         name: [one for argument in app[name].assemble_argument_collection() for one in argument.names if one[:1] == "-"]
-        for name in IN_ORDER
+        for name in (one.name for one in COMMANDS)
     }
     own = options.pop(command, [])
     fix = elsewhere(given, own, options, "option") or f"`mrac-jax {command} --help` lists its options"

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
+from analysis import api
 from analysis.cli.console import (
     CHECK_FAILED,
     DONE,
@@ -39,7 +40,7 @@ ALTITUDE = option(OUTPUT, "qgc: metres above take-off, 0 for ground robots (defa
 
 
 @command(
-    DRIVE, THE_TEAM, PLANNING, "deadline state",
+    DRIVE, api.plan, THE_TEAM, PLANNING, "deadline state",
     policy=ANY_POLICY,
     out="Write the plan file (JSON) to this file.",
     waypoints=option(OUTPUT, "Write paths: .csv .plan .yaml .geojson .kml .gpx .tif, as `export` does.", "path"),
@@ -63,8 +64,7 @@ def plan(source: INPUT, /, given: Given) -> int:
         return DONE
     form = None if waypoints is None else choose_format(waypoints, None, "waypoints")
     first = None if form is None else form.check
-    world, made, notes = load_or_make_plan(given.asked(source), state=state, seconds=given.seconds, first=first)
-    say(notes)
+    world, made = given.planned(source, seconds=given.seconds, first=first)
     written = [] if out is None else [out]
     if waypoints is not None and form is not None:
         mission = make_mission(world, made, given.altitude, given.speed)
@@ -80,16 +80,10 @@ def plan(source: INPUT, /, given: Given) -> int:
     return DONE
 
 
-WAYS = ("qgc", "nav2", "geojson", "kml", "gpx", "csv", "geotiff")
-"""Names of `analysis.exporting.FORMATS`, which is too slow to import for `--help`."""
-
-
 @command(
-    DRIVE, THE_TEAM, PLANNING, "deadline plan state",
+    DRIVE, api.export, THE_TEAM, PLANNING, "deadline plan state", "Output: to altitude",
     policy=ANY_POLICY,
     plan="Export this plan file instead of planning.",
-    to=option(OUTPUT, "Format (default: by the suffix of --out).", "", *WAYS),
-    altitude=ALTITUDE,
     out=of("out", help="File or folder to write.", default=...),
 )  # fmt: skip
 def export(source: INPUT, /, given: Given) -> int:
@@ -102,9 +96,8 @@ def export(source: INPUT, /, given: Given) -> int:
     from analysis.exporting import export as export_mission
     from analysis.inputs import read_files
 
-    form, asked = choose_format(given.out, given.to), given.asked(source)
-    world, made, notes = load_or_make_plan(asked, given.plan, given.state)
-    say(notes)
+    form = choose_format(given.out, given.to)
+    world, made = given.planned(source)
     mission = make_mission(world, made, given.altitude, given.speed)
     written = export_mission(mission, given.out, form, spare=read_files(source, given.plan, given.state))
     say([*mission.unknown(form.figures), *(f"wrote {file}" for file in written)])
@@ -112,16 +105,10 @@ def export(source: INPUT, /, given: Given) -> int:
 
 
 @command(
-    DRIVE, THE_TEAM, PLANNING, "deadline plan",
+    DRIVE, api.drive, THE_TEAM, PLANNING, "deadline plan", "Planning: patience gain",
     policy=ANY_POLICY,
     plan="Drive by this plan file instead of planning.",
     state=of("state", group=OUTPUT, help="Keep the mission in this file (.json), and resume it if the file exists."),
-    patience=option(
-        "Planning", "Steps without progress before a robot's work is reassigned (default: 20).", "whole"
-    ),
-    gain=option(
-        "Planning", "Smallest share of the way that a change of target must save (default: 1, never).", "number"
-    ),
     outlook=option(ROLLOUTS, "Print expected results at the start and after changes.", "flag", default=False),
 )  # fmt: skip
 def drive(source: INPUT, /, given: Given) -> int:
@@ -193,7 +180,7 @@ EVALUATED = 4096
 
 
 @command(
-    RECORD, THE_TEAM, PLANNING, "deadline plan state",
+    RECORD, None, THE_TEAM, PLANNING, "deadline plan state",
     ids=option(RECORDING, 'Record these rollouts: "0,5,7-9".', "text"),
     pick=option(
         RECORDING, "Record the worst, median, best, random or quantile:0.05 rollout by coverage; several by commas "
@@ -319,44 +306,30 @@ def check_outputs(
 
 
 @command(
-    RECORD,
+    RECORD, api.inspect, "events", "Rollouts: replay engine all", "Output: repair", "json",
+    engine=of("engine", rare=False, help="With --replay: simulator to use (default: auto)."),
     events=option(
         TIMELINE, "Events to list for each rollout: at most 40 (main), all, or none (default: main).", "",
         "main", "all", "none", default="main",
     ),
-    replay=option(
-        ROLLOUTS, "Run the recorded rollouts again, and report whether every event is the same (exit status 1 if not).",
-        "flag", default=False,
-    ),
-    engine=of("engine", rare=False, help="With --replay: simulator to use (default: auto)."),
-    all=option(ROLLOUTS, "With --replay: run every evaluated rollout.", "flag", default=False),
-    repair=option(OUTPUT, "Save the intact part of a recording to this file (exit status 1 if some is lost).", "path"),
-    json=OPTIONS["json"],
 )  # fmt: skip
 def inspect(path: file("FILE", "A recording (.mcap)."), /, given: Given) -> int:  # type: ignore[valid-type]
     """Contents of a recording: topics, attachments, and a timeline of each rollout."""
     from analysis.recording import replay
     from analysis.utils.progress import show_progress
 
-    if given.repair is not None and given.replay:
-        raise UsageError("both --replay and --repair are given", expected="one of them")
-    replayed = {"--engine": given.engine != "auto", "--all": given.all}
-    for name in (name for name, said in replayed.items() if said and not given.replay):
-        raise UsageError(f"{name} without --replay", fix="add --replay, or leave it out")
-    if given.replay:
-        with show_progress() as progress:
-            found = replay.replay(path, given.engine, everything=given.all, progress=progress)
-        show(replay.replayed(found), given.json)
-        return DONE if found.identical else CHECK_FAILED
-    if given.repair is not None:
-        from analysis.recording.container import recover
-
+    if given.repair is not None and not given.replay:
         check_name(given.repair, SUFFIX)
         check_files(str(path), given.repair, suffix=SUFFIX)
-        saved = recover(path, given.repair)
-        show(replay.recovered(saved), given.json)
-        say([f"wrote {given.repair}"])
-        return DONE if saved.complete else CHECK_FAILED
+    with show_progress() as progress:
+        found = given.call(api.inspect, path, progress=progress)
     most = {"main": replay.MOST_LINES, "all": None, "none": 0}[given.events]
-    show(replay.inspected(replay.inspect(path), most), given.json)
-    return DONE
+    if given.replay:
+        show(replay.replayed(found), given.json)
+        return DONE if found.identical else CHECK_FAILED
+    if given.repair is None:
+        show(replay.inspected(found, most), given.json)
+        return DONE
+    show(replay.recovered(found), given.json)
+    say([f"wrote {given.repair}"])
+    return DONE if found.complete else CHECK_FAILED

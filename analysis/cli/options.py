@@ -1,7 +1,9 @@
 """Options of the command line: converters of their values, and commands with their options.
 
-A command is a function with `@command(group, names of options, ...)`: `planner.settings.OPTIONS` has the type, the
-default, the help and the group of each, which the command may replace by its own.
+A command is made from a function of `analysis.api`: `@command(section, function, names of options)`. The type, the
+default and the help of an option are those of the function's argument; options of the input, and of what is printed and
+written, are those of `planner.settings.OPTIONS`. The decorated function reads the input, calls `given.call(function,
+...)`, and delivers the answer.
 """
 
 from __future__ import annotations
@@ -12,31 +14,28 @@ from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import cache
 from inspect import Parameter as Argument
-from inspect import Signature, signature
+from inspect import Signature, getdoc, signature
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import App, Group, Parameter, Token
+from cyclopts import Group, Parameter, Token
 
-from planner.arguments import did_you_mean, exactly
+from analysis.utils.notes import say
+from planner.arguments import ANY, Numbers, did_you_mean, exactly
 from planner.errors import UsageError
 from planner.formatting import SPANS, seconds_of
 from planner.settings import BEST, GOAL, GROUPS, OPTIONS, OUTPUT, ROLLOUTS, SETTINGS, SURVEY, TEAM, Choices, Setting
 
 if TYPE_CHECKING:
-    from analysis.inputs import Asked
-    from analysis.sampling import RolloutChoices
+    from analysis.inputs import Asked, Task
+    from planner.plan.plan import Plan
+    from planner.world.world import World
 
-# Values: a converter accepts a value without rounding or guessing, or refuses it in one line.
+# Values: `parse(text, name)` gives a value without rounding or guessing, or refuses it in one line that names `name`.
 
 STEPS = ("--max-steps", "--b.max-steps")
 """Options that are a number of steps and cannot be a time."""
-
-
-def whole(kind: Any, tokens: Sequence[Token]) -> int:
-    """A whole number, as `parse_whole` takes it; UsageError names the option."""
-    return parse_whole(tokens[0].value, _name(tokens))
 
 
 def parse_whole(text: str, name: str) -> int:
@@ -50,113 +49,105 @@ def parse_whole(text: str, name: str) -> int:
     return int(value)
 
 
-def deadline(kind: Any, tokens: Sequence[Token]) -> int | str:
-    """A step, or a time in hours, minutes and seconds."""
-    text = tokens[0].value
-    return text if seconds_of(text) is not None else parse_whole(text, _name(tokens))
-
-
-def wholes(kind: Any, tokens: Sequence[Token]) -> int | tuple[int, ...]:
-    """A whole number, or several of them between commas, one a robot."""
-    found = tuple(parse_whole(part.strip(), _name(tokens)) for part in tokens[0].value.split(","))
-    return found if len(found) > 1 else found[0]
-
-
-def numbers(kind: Any, tokens: Sequence[Token]) -> float | tuple[float, ...]:
-    """A number, or several of them between commas, one a robot."""
-    found = tuple(parse_number(part.strip(), _name(tokens)) for part in tokens[0].value.split(","))
-    return found if len(found) > 1 else found[0]
-
-
-def places(kind: Any, tokens: Sequence[Token]) -> str | tuple[tuple[int, int], ...]:
-    """A word, or cells, "row,col;row,col;..."."""
-    text = tokens[0].value
-    if not re.search(r"[0-9]", text):
-        return text
-    found = [tuple(parse_whole(part.strip(), _name(tokens)) for part in cell.split(",")) for cell in text.split(";")]
-    if any(len(cell) != 2 for cell in found):
-        raise UsageError(f"{_name(tokens)} {text!r}", expected='cells, as "0,0;4,7"')
-    return tuple((row, col) for row, col in found)
-
-
-def names(kind: Any, tokens: Sequence[Token]) -> str | tuple[str, ...]:
-    """A name, or several of them between commas, one a robot."""
-    found = tuple(part.strip() for part in tokens[0].value.split(","))
-    return found if len(found) > 1 else found[0]
-
-
-def number(kind: Any, tokens: Sequence[Token]) -> float:
-    """A finite number; UsageError names the option."""
-    return parse_number(tokens[0].value, _name(tokens))
-
-
-def parse_number(text: str, name: str) -> float:
+def parse_number(text: str, name: str, expected: str = "a number") -> float:
     """A finite number in decimal digits; UsageError names `name`."""
     if not re.fullmatch(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?", text, re.ASCII | re.IGNORECASE):
-        raise UsageError(f"{name} {text!r}", expected="a number")
+        raise UsageError(f"{name} {text!r}", expected=expected)
     return float(text)
 
 
-def how_far(kind: Any, tokens: Sequence[Token]) -> float:
-    """A range of sensors: a number of cells, or inf."""
-    return inf if tokens[0].value == "inf" else number(kind, tokens)
+def _deadline(text: str, name: str) -> int | str:
+    return text if seconds_of(text) is not None else parse_whole(text, name)
 
 
-def exactness(kind: Any, tokens: Sequence[Token]) -> str | float:
-    """A word of `analysis.sampling.Exactness`, or seconds."""
-    text = tokens[0].value
+def _each(parse: Callable[[str, str], Any]) -> Callable[[str, str], Any]:
+    """One value, or several of them between commas, one a robot."""
+
+    def parse_each(text: str, name: str) -> Any:
+        found = tuple(parse(part.strip(), name) for part in text.split(","))
+        return found if len(found) > 1 else found[0]
+
+    return parse_each
+
+
+def _cells(text: str, name: str) -> tuple[tuple[int, ...], ...]:
+    """Cells, "row,col;row,col;..."."""
     try:
-        return text if text in ("auto", "never") else parse_number(text, _name(tokens))
+        found = tuple(tuple(parse_whole(part.strip(), name) for part in cell.split(",")) for cell in text.split(";"))
     except UsageError:
-        raise UsageError(f"{_name(tokens)} {text!r}", expected="auto, never, or a number of seconds") from None
+        found = ((),)
+    if any(len(cell) != 2 for cell in found):
+        raise UsageError(f"{name} {text!r}", expected='cells in whole numbers, "row,col;row,col;..."')
+    return found
 
 
-def verbatim(kind: Any, tokens: Sequence[Token]) -> str:
-    """The text itself: no conversion."""
-    return tokens[0].value
+def _places(text: str, name: str) -> str | tuple[tuple[int, ...], ...]:
+    """A word, or cells."""
+    return _cells(text, name) if re.search(r"[0-9]", text) else text
 
 
-def verbatims(kind: Any, tokens: Sequence[Token]) -> list[str]:
-    """The texts themselves, of an option that may be repeated."""
-    return [token.value for token in tokens]
+def _list(text: str, name: str) -> tuple[float, ...]:
+    """Numbers between commas, inf among them; none in an empty text."""
+    try:
+        return tuple(map(float, text.split(","))) if text.strip() else ()
+    except ValueError:
+        raise UsageError(f"{name} {text!r}", expected='numbers, as "0.5,1,2"') from None
 
 
-def path(kind: Any, tokens: Sequence[Token]) -> Path:
-    """A path; the empty one is refused."""
-    if not tokens[0].value:
-        raise UsageError(f"{_name(tokens)} ''", expected="a path")
-    return Path(tokens[0].value)
+def _exactness(text: str, name: str) -> str | float:
+    """A word of `analysis.sampling.Exactness`, or seconds."""
+    return text if text in ("auto", "never") else parse_number(text, name, "auto, never, or a number of seconds")
+
+
+def _path(text: str, name: str) -> Path:
+    if not text:
+        raise UsageError(f"{name} ''", expected="a path")
+    return Path(text)
+
+
+def _text(text: str, name: str) -> str:
+    return text
+
+
+def converter(parse: Callable[[str, str], Any], numbers: Numbers = ANY) -> Any:
+    """The converter of cyclopts that parses the first token, and checks that a number is one of `numbers`."""
+
+    def convert(kind: Any, tokens: Sequence[Token]) -> Any:
+        name = tokens[0].keyword or "argument"
+        found = parse(tokens[0].value, name)
+        if isinstance(found, int | float) and numbers != ANY and not numbers.accepts(found):
+            raise UsageError(f"{name} {found:g}", expected=numbers.expected, fix=numbers.meant(found))
+        return found
+
+    return convert
 
 
 def one_of(*words: str) -> Any:
     """A converter to one of `words`."""
 
-    def choose(kind: Any, tokens: Sequence[Token]) -> str:
-        if tokens[0].value not in words:
-            given = tokens[0].value
-            raise UsageError(f"{_name(tokens)} {given!r}", expected=" or ".join(words), fix=did_you_mean(given, words))
-        return tokens[0].value
+    def choose(text: str, name: str) -> str:
+        if text not in words:
+            raise UsageError(f"{name} {text!r}", expected=" or ".join(words), fix=did_you_mean(text, words))
+        return text
 
-    return choose
-
-
-def _name(tokens: Sequence[Token]) -> str:
-    return tokens[0].keyword or "argument"
+    return converter(choose)
 
 
 # Types of the values, as a command's signature has them, by kind of option (`Setting.kind`).
 
-KINDS: dict[str, tuple[Any, Any]] = {
-    "whole": (int, whole), "number": (float, number), "wholes": (str, wholes), "numbers": (str, numbers),
-    "time": (str, deadline), "places": (str, places), "names": (str, names), "text": (str, verbatim),
-    "path": (Path, path),
-    "texts": (list[str], verbatims), "effort": (str, exactness), "reach": (float, how_far),
+KINDS: dict[str, tuple[Any, Callable[[str, str], Any]]] = {
+    "whole": (int, parse_whole), "number": (float, parse_number), "wholes": (str, _each(parse_whole)),
+    "numbers": (str, _each(parse_number)), "time": (str, _deadline), "places": (str, _places), "cells": (str, _cells),
+    "names": (str, _each(_text)), "text": (str, _text), "path": (Path, _path), "list": (str, _list),
+    "effort": (str, _exactness),
+    "reach": (float, lambda text, name: inf if text == "inf" else parse_number(text, name)),
 }  # fmt: skip
+VERBATIM = converter(_text)
 INPUT = Annotated[
     str,
     Parameter(
         name="INPUT",
-        converter=verbatim,
+        converter=VERBATIM,
         help="Scenario or ROS map .yaml .yml; MovingAI .map, .mcpp; sources .json; world .npz .npy .csv; log .mcap or "
         "rosbag2 folder; raster .tif .tiff .asc; image .png .pgm .ppm .pbm .pnm .bmp .gif .jpg .jpeg; boundary "
         ".geojson .kml .gpx .shp .gpkg; or example:NAME (terrain, building, paper).",
@@ -166,7 +157,7 @@ INPUT = Annotated[
 
 def file(name: str, help: str) -> Any:
     """The type of a positional argument that is a path."""
-    return Annotated[Path, Parameter(name=name, converter=path, help=help)]
+    return Annotated[Path, Parameter(name=name, converter=converter(_path), help=help)]
 
 
 SECOND = "B, where it differs from A"
@@ -175,7 +166,7 @@ ORDER = (GOAL, TEAM, "Planning", ROLLOUTS, SECOND, SURVEY, OUTPUT)
 
 
 @cache
-def _group(name: str, place: int) -> Group:
+def group_of(name: str, place: int) -> Group:
     """The group of that name; cyclopts needs one object per group."""
     return Group(name, sort_key=place)
 
@@ -184,15 +175,21 @@ def _annotation(setting: Setting, spelt: str, shown: bool) -> Any:
     """The type of an option, for cyclopts."""
     more: dict[str, Any] = {"name": spelt, "help": setting.help, "show": shown, "show_default": False}
     place = ORDER.index(setting.group) if setting.group in ORDER else len(ORDER)
-    more["group"] = _group(setting.group, place)
+    more["group"] = group_of(setting.group, place)
     if setting.kind in ("flag", "switch"):
         more |= {"negative": ""} if setting.kind == "flag" else {}
         return Annotated[bool, Parameter(**more)]
     if setting.kind == "word":
         return Annotated[Literal[setting.words] | None, Parameter(converter=one_of(*setting.words), **more)]
-    kind, converter = KINDS[setting.kind]
-    kind = kind if setting.default is ... else kind | None
-    return Annotated[kind, Parameter(converter=converter, **more)]
+    if setting.kind == "texts":
+        several = lambda kind, tokens: [token.value for token in tokens]  # noqa: E731
+        return Annotated[list[str] | None, Parameter(converter=several, **more)]
+    kind, parse = KINDS[setting.kind]
+    # Settings of the planner are checked with the input, whose values they may contradict.
+    numbers = ANY if setting.group == "Planning" else setting.numbers
+    return Annotated[
+        kind if setting.default is ... else kind | None, Parameter(converter=converter(parse, numbers), **more)
+    ]
 
 
 # Commands.
@@ -223,23 +220,32 @@ class Given:
         team = [name for name in Asked.__dataclass_fields__ if name in self.values]
         return Asked(source, self.choices, **{name: self.values[name] for name in team})
 
-    def rolled(self, usual: int = 4096, **more: Any) -> RolloutChoices:
-        """The rollouts, checked; `usual`: default number. `more`: values that replace options."""
-        from analysis.sampling import RolloutChoices
+    def task(self, source: str) -> Task:
+        """The map, the team and the settings in an INPUT; their notes are printed."""
+        from analysis.inputs import load_task
 
-        known = RolloutChoices.__dataclass_fields__
-        asked = {name: value for name, value in self.values.items() if name in known and value is not None}
-        first_only = self.threat_checks == "first_visit"
-        return RolloutChoices(**{"rollouts": usual, **asked, "first_only": first_only, **more})
+        task = load_task(self.asked(source))
+        say(task.notes)
+        return task
 
-    def enough(self, external: bool, usual: int | None) -> RolloutChoices:
-        """The rollouts of one plan, checked: by number, precision or seconds. `external`: it has no areas."""
-        from analysis.sampling import how_much
+    def planned(self, source: str, **how: Any) -> tuple[World, Plan]:
+        """The map in an INPUT, and its plan, which may be a file's or one for a state; the notes are printed."""
+        from analysis.cli.console import load_or_make_plan
 
-        amount = how_much(self.rollouts, self.precision, self.values.get("seconds"), usual)
-        if "seconds" not in self.values:
-            amount["seconds"] = None
-        return self.rolled(100_000, loop=self.loop or ("open" if external else "closed"), **amount)
+        files = self.values.get("plan"), self.values.get("state")
+        world, made, notes = load_or_make_plan(self.asked(source), *files, **how)
+        say(notes)
+        return world, made
+
+    def call(self, function: Callable[..., Any], *positional: Any, **more: Any) -> Any:
+        """The answer of a function of `analysis.api`: with the given options, and with `more` in their place.
+
+        After an interrupt it is the answer so far.
+        """
+        known = signature(function).parameters
+        usual = {"progress": True, "on_interrupt": "return"}
+        given = {name: value for name, value in {**usual, **self.values, **more}.items() if name in known}
+        return function(*positional, **{name: value for name, value in given.items() if value is not None})
 
     def arguments(self, source: str) -> list[str]:
         """The words after `evaluate` for the same input, team and settings."""
@@ -269,7 +275,7 @@ class Given:
 def _typed(value: Any) -> str:
     """The value of an option as typed."""
     if isinstance(value, tuple):
-        return ",".join(map(str, value))
+        return (";" if isinstance(value[0], tuple) else ",").join(map(_typed, value))
     return exactly(value) if isinstance(value, float) else str(value)
 
 
@@ -303,25 +309,69 @@ class Command:
         call.__doc__, call.__module__ = self.function.__doc__, self.function.__module__
         return call
 
-    def register(self, app: App, section: int, place: int, everything: bool) -> None:
-        """Add it to `app`, at its place in `--help`."""
-        app.command(self.bound(everything), name=self.name, group=_group(self.section, section), sort_key=place)
-
 
 COMMANDS: list[Command] = []
 
 
-def command(section: str, *names: str, name: str = "", **own: Any) -> Callable[[Any], Any]:
-    """A decorator: the function is a command. `names`: of options, between spaces. `own`: help or option by name."""
+def command(section: str, function: Callable[..., Any] | None, *names: str, **own: Any) -> Callable[[Any], Any]:
+    """A decorator that makes a command of a function.
 
-    def register(function: Callable[..., int]) -> Callable[..., int]:
-        options = {one: OPTIONS[one] for some in names for one in some.split()}
+    Args:
+        section: of `mrac-jax --help`. function: of `analysis.api`, that has the options as arguments.
+        names: of options, between spaces; "Goal: losses" replaces the group of those that follow, and a rare one ends
+            in "?". They may name some of `own`, whose place is then there, else after all others.
+        own: help, or the whole option, by name.
+    """
+
+    def register(decorated: Callable[..., int]) -> Callable[..., int]:
+        options: dict[str, Setting] = {}
+        for some in names:
+            group, _, listed = some.rpartition(": ")
+            for one in listed.split():
+                plain = one.rstrip("?")
+                made = own[plain] if isinstance(own.get(plain), Setting) else _option_of(function, plain)
+                made = replace(made, rare=True) if one != plain else made
+                options[plain] = replace(made, group=group) if group else made
+        if "exact" in options:  # a deadline of the rollouts, which does not end the mission of a plan
+            options["deadline"] = replace(options["deadline"], group=ROLLOUTS)
         for one, said in own.items():
             options[one] = replace(options.get(one) or OPTIONS[one], help=said) if isinstance(said, str) else said
-        COMMANDS.append(Command(function, name or function.__name__, section, options))
-        return function
+        COMMANDS.append(Command(decorated, decorated.__name__, section, options))
+        return decorated
 
     return register
+
+
+def _option_of(function: Callable[..., Any] | None, name: str) -> Setting:
+    """The option of an argument: by its annotation, or by `planner.settings.OPTIONS` if it has the name.
+
+    A text in the docstring that begins with a capital letter is the option's help too.
+    """
+    argument, known = None if function is None else signature(function).parameters.get(name), OPTIONS.get(name)
+    text = "" if argument is None or function is None else _arguments_of(function).get(name, "")
+    help = re.sub(r"`(\w+)`", lambda found: f"--{found[1].replace('_', '-')}", text)
+    kind = "" if argument is None else str(argument.annotation)
+    if known is not None and not kind.startswith("Sequence[float]"):
+        return replace(known, help=help) if help[:1].isupper() else known
+    assert argument is not None, name
+    words = tuple(re.findall(r"'(\w+)'", kind)) if kind.startswith("Literal") else ()
+    form = "" if words else next(form for start, form in FORMS.items() if kind.startswith(start))
+    form = "switch" if argument.default is True else form
+    return option("", help, form, *words, default=argument.default if words or kind == "bool" else None)
+
+
+FORMS = {
+    "bool": "flag", "int": "whole", "float": "number", "Sequence[float]": "list", "str | Path": "path", "str": "text",
+    "ArrayLike": "text",
+}  # fmt: skip
+"""Kinds of options, by the beginning of an annotation."""
+
+
+@cache
+def _arguments_of(function: Callable[..., Any]) -> dict[str, str]:
+    """The text of each argument in a docstring."""
+    found = re.findall(r"^    (\w[\w, ]*): (.*(?:\n {8}.*)*)", getdoc(function) or "", re.MULTILINE)
+    return {name: " ".join(text.split()) for names, text in found for name in names.split(", ")}
 
 
 def option(
@@ -346,5 +396,3 @@ ONE_PLAN = "loop rollouts precision deadline seed engine exact threat_checks"
 COMPARED = "rollouts deadline seed engine threat_checks exact"
 """Rollouts of compared plans, on common random numbers."""
 ANY_POLICY = of("policy", words=(*OPTIONS["policy"].words, BEST))
-EARLY = of("deadline", group=ROLLOUTS, help="Also report coverage at this step or time: 450, 45min, 1h30min, 90s.")
-"""A deadline of the rollouts: it does not end the mission of the plan."""

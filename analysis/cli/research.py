@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import shlex
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from analysis.cli.console import DONE, check_files, check_folder, deliver, load_or_make_plan, show_pool_progress
-from analysis.cli.options import PLANNING, Given, command, file, of, option, parse_whole, verbatim
+from analysis import api
+from analysis.cli.console import DONE, check_files, check_folder, deliver
+from analysis.cli.options import PLANNING, VERBATIM, Given, command, file, of, option
 from analysis.utils.notes import say
 from planner.errors import UsageError
 from planner.formatting import counted
-from planner.settings import OPTIONS, OUTPUT, SURVEY
+from planner.settings import OUTPUT, SURVEY
 
 RESEARCH = "Research"
 FIGURES = ("visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive")
@@ -22,43 +22,25 @@ FIGURES = ("visited", "survived", "visited_of_free", "survived_of_free", "comple
 
 
 @command(
-    RESEARCH,
-    "store",
-    store="Keep results in this file, and reuse those that it has (default: NAME.store).",
-    precision=of(
-        "precision", group=SURVEY, help="Add maps until every 95 % interval of mean coverage is this narrow."
-    ),
-    processes=OPTIONS["processes"],
-    scheduler=OPTIONS["scheduler"],
+    RESEARCH, api.sweep, "store", "Many maps: precision", "processes scheduler out json",
     out="Write the page, pictures, CSV and JSON to this folder.",
-    json=OPTIONS["json"],
 )  # fmt: skip
 def sweep(spec: file("SPEC", "Sweep file (YAML)."), /, given: Given) -> int:  # type: ignore[valid-type]
     """A scenario with lists of settings, on many maps; stored results are reused.
 
     Every setting is run on the same maps and the same random numbers.
     """
-    from analysis.sweeps.engine import check_where
-    from analysis.sweeps.spec import read_spec
-    from analysis.sweeps.store import Store
-    from analysis.sweeps.sweep import check_precision, run_sweep
-
     check_folder(given.out)
-    asked, precision = read_spec(spec), given.precision
-    check_precision(precision)
-    where = {"processes": given.processes, "scheduler": given.scheduler}
-    check_where(**where)
-    kept = Path(f"{spec.stem}.store") if given.store is None else given.store
-    with Store.open(kept) as opened, show_pool_progress("jobs", asked.policies) as watch:
-        answer = run_sweep(asked, opened, precision=precision, watch=watch, **where)
+    answer = given.call(api.sweep, spec)
+    kept = given.store or Path(f"{spec.stem}.store")
     say([f"results are in {kept}"])
     line = ["mrac-jax", "sweep", str(spec), "--store", str(kept)]
-    line += [] if precision is None else ["--precision", f"{precision:g}"]
+    line += [] if given.precision is None else ["--precision", f"{given.precision:g}"]
     return deliver(answer, out=given.out, as_json=given.json, command=shlex.join(line), also_read=(spec,))
 
 
 @command(
-    RESEARCH,
+    RESEARCH, None, "where by figure plot csv parquet merge json",
     where=option(SURVEY, "Only runs with NAME=VALUE[,VALUE]; may be repeated.", "texts"),
     by=option(SURVEY, 'Labels that define the rows: "robots,kind" (default: all that vary).', "text"),
     figure=option(OUTPUT, "Figure of the picture (default: visited).", "", *FIGURES, default="visited"),
@@ -66,7 +48,6 @@ def sweep(spec: file("SPEC", "Sweep file (YAML)."), /, given: Given) -> int:  # 
     csv=option(OUTPUT, "Write one line per run (.csv).", "path"),
     parquet=option(OUTPUT, "Write one row per run (.parquet).", "path"),
     merge=option(OUTPUT, "First copy the intact results of this store into STORE; may be repeated.", "texts"),
-    json=OPTIONS["json"],
 )  # fmt: skip
 def results(
     store: file("STORE", "Store that `sweep` or `check --paper` wrote."),  # type: ignore[valid-type]
@@ -115,39 +96,20 @@ def _merge(store: Path, others: list[Path]) -> None:
         say([f"{other}: {counted(count, 'run')} taken over", *(f"left out: {note}" for note in notes)])
 
 
-PAPER = ("fig4", "fig5", "fig6", "fig7", "all")
-MAPS, ROLLOUTS_OF_A_MAP = 500, 20
-KIND = option(SURVEY, "Pattern of the threats (default: contiguous).", "", "contiguous", "scattered")
-SIZE = option(SURVEY, "Size of a map, HxW in cells (default: 20x20).", "text")
-
-
 @command(
-    RESEARCH, "starts cell_size", PLANNING, "plan rollouts seed engine threat_checks",
+    RESEARCH, api.check, "starts cell_size", PLANNING, "plan rollouts seed engine threat_checks",
+    "Many maps: worlds paper maps kind size", "processes store scheduler bound", "Output: theory",
+    "out json",
     robots=of(
-        "robots", form="text",
+        "robots", form="wholes",
         help='Number of robots (default: as in the input, else 1); with --worlds team sizes (default: "1,2,4,8,20").',
     ),
     plan="Check this plan file instead of planning.",
-    rollouts="Number of closed-loop rollouts (default: 20000; 4096 a team with --worlds; 20 a map with --paper).",
     seed="Seed of the rollouts, and of the first map of --worlds and --paper (default: 0).",
-    worlds=option(SURVEY, "Check this many random maps instead of an INPUT.", "whole"),
-    paper=option(SURVEY, "Check the statements of the paper's experiments on random maps.", "", *PAPER),
-    maps=option(SURVEY, "With --paper: random maps per setting (default: 500, as in the paper).", "whole"),
-    kind=KIND,
-    size=SIZE,
-    processes=OPTIONS["processes"],
-    store=OPTIONS["store"],
-    scheduler=OPTIONS["scheduler"],
-    bound=OPTIONS["bound"],
-    theory=option(
-        OUTPUT, "Table of an INPUT: main, a row per formula, or all readings and meanings (default: main).", "",
-        "main", "all", default="main",
-    ),
     out="Write pictures, JSON, and with --worlds the worst maps, to this folder.",
-    json=OPTIONS["json"],
 )  # fmt: skip
 def check(
-    source: Annotated[str | None, Parameter(name="INPUT", converter=verbatim, help="As INPUT of `evaluate`.")] = None,
+    source: Annotated[str | None, Parameter(name="INPUT", converter=VERBATIM, help="As INPUT of `evaluate`.")] = None,
     /,
     given: Given = None,  # type: ignore[assignment]
 ) -> int:
@@ -157,87 +119,30 @@ def check(
     with simultaneous 95 % intervals. The exit status is 1 if a formula that is marked as proven fails. --paper repeats
     the experiments of the paper in some minutes on two cores.
     """
-    from analysis.checking.check import check_input, check_world
-    from analysis.inputs import check_mode
-    from analysis.utils.progress import show_progress
-
-    mode = check_mode(given.values | {"world": source})
+    mode = api.check_mode(given.values | {"world": source})
     check_folder(given.out)
-    if mode == "paper":
-        return _check_paper(given)
-    if mode == "worlds" or source is None:
-        return _check_worlds(given)
-    robots = None if given.robots is None else parse_whole(given.robots, "--robots")
-    choices = given.rolled(20_000)
-    asked = Given(given.values | {"robots": robots}).asked(source)
-    world, made, notes = load_or_make_plan(asked, given.plan, first=check_world)
-    say(notes)
-    with show_progress() as progress:
-        answer = check_input(world, made, choices, progress, given.bound or None, given.theory)
+    robots = given.robots
+    if mode != "world" or source is None:
+        answer = given.call(api.check, robots=(robots,) if isinstance(robots, int) else robots)
+        return deliver(answer, out=given.out, as_json=given.json)
+    from analysis.checking.check import check_world
+
+    if isinstance(robots, tuple):
+        raise UsageError(f"--robots {','.join(map(str, robots))}", expected="a whole number")
+    world, made = given.planned(source, first=check_world)
+    own = dict.fromkeys((*PLANNING.split(), "robots", "plan")) | {"bound": given.bound or None}
+    answer = given.call(api.check, world, made, **own)
     return deliver(answer, out=given.out, as_json=given.json, source=source, also_read=(given.plan,))
 
 
-def _check_worlds(given: Given) -> int:
-    from analysis.checking.check import make_survey, run_survey
-
-    choices = make_survey(given.worlds, given.kind, given.size, _team_sizes(given.robots), given.choices, given.bound)
-    rollouts = given.rolled(4096)
-    with show_pool_progress("worlds", [choices.settings.policy]) as progress:
-        answer = run_survey(choices, rollouts, processes=given.processes, progress=progress)
-    return deliver(answer, out=given.out, as_json=given.json)
-
-
-def _team_sizes(text: str | None) -> tuple[int, ...]:
-    """Team sizes of a survey, increasing."""
-    text = "1,2,4,8,20" if text is None else text
-    try:
-        sizes = [parse_whole(part.strip(), "--robots") for part in text.split(",")]
-    except UsageError:
-        sizes = []
-    if not sizes or not all(1 <= size <= 1024 for size in sizes):
-        raise UsageError(f"--robots {text!r}", expected='team sizes 1..1024, as "1,2,4,8,20"')
-    return tuple(sorted(set(sizes)))
-
-
-def _check_paper(given: Given) -> int:
-    from analysis.experiments.reproduction import reproduce
-    from analysis.sweeps.cases import check_maps
-    from analysis.sweeps.engine import check_where
-    from analysis.sweeps.store import Store
-    from planner.policies import DEFAULT
-
-    count = ROLLOUTS_OF_A_MAP if given.rollouts is None else given.rollouts
-    OPTIONS["rollouts"].numbers.check("rollouts", count)
-    maps, seed = MAPS if given.maps is None else given.maps, given.seed or 0
-    check_maps(maps, seed)
-    where = {"processes": given.processes, "scheduler": given.scheduler}
-    check_where(**where)
-    kept = nullcontext() if given.store is None else Store.open(given.store)
-    with kept as store, show_pool_progress("jobs", [DEFAULT]) as progress:
-        answer = reproduce(given.paper, maps=maps, rollouts=count, seed=seed, store=store, progress=progress, **where)
-    return deliver(answer, out=given.out, as_json=given.json)
-
-
 @command(
-    RESEARCH,
-    map=option(SURVEY, "Put the threats on the free cells of this INPUT.", "text"),
-    kind=KIND,
-    size=SIZE,
-    obstacles=option(SURVEY, "Fraction of the cells that are obstacles (default: 0.25).", "number"),
-    ratio=option(SURVEY, "Fraction of dangerous cells; with --map, of its free cells (default: 0.25).", "number"),
-    areas=option(SURVEY, "Number of contiguous areas of threats (default: 10).", "whole"),
-    levels=option(SURVEY, "Threat levels, in turn (default: 0.04,0.08,0.12,0.16,0.20).", "text"),
-    seed=of("seed", group=SURVEY, help="Seed of the map (default: 0)."),
-    robots=of("robots", group=SURVEY, help="Also store the starts of this many robots, upper left."),
-    cell_size=of("cell_size", group=SURVEY, help="With --map: side of a cell in metres; the map is coarsened."),
+    RESEARCH, api.generate, "Many maps: map kind size obstacles ratio areas levels seed robots cell_size",
 )  # fmt: skip
 def generate(out: file("OUT", "World file (.npz) to write."), /, given: Given) -> int:  # type: ignore[valid-type]
     """A random world of the paper, or a map with random threats."""
-    from analysis.inputs import generate_world
-
-    check_files(given.map, out, suffix=".npz")
-    asked = {name: value for name, value in given.values.items() if name != "map"}
-    world, notes = generate_world(given.map, **asked | {"kind": given.kind or "contiguous"})
+    source = None if given.map is None else str(given.map)
+    check_files(source, out, suffix=".npz")
+    world = given.call(api.generate)
     world.save(out, force=True)
-    say([*notes, f"wrote {out}"])
+    say([*world.notes, f"wrote {out}"])
     return DONE

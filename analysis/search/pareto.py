@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 from analysis.estimators.trial import Measured, Trial
 from analysis.report.result import Searched
 from analysis.sampling import RolloutChoices
+from analysis.search.search import Search
 from analysis.statistics.estimates import ALPHA, TARGETS, Estimate
 from analysis.theory.verdicts import longest_mission
-from analysis.utils.notes import Doing, ProgressCallback, quiet
-from planner.arguments import MOST_ROLLOUTS, Numbers, argument, exactly, numbers_of
+from analysis.utils.notes import Doing, ProgressCallback
+from planner.arguments import MOST_ROLLOUTS, Numbers, argument, exactly
 from planner.errors import UsageError
 from planner.formatting import UNPACED, Pace
-from planner.make_plan import allocated_plan, make_plan
+from planner.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.plan.plan import Plan
 from planner.rollouts.tables import AllPairs
@@ -187,26 +188,21 @@ def first_robot_value(largest_threat: float) -> float:
     return float(f"{1 / largest_threat:.2g}")
 
 
-def descending_ladder(largest_threat: float, smallest_threat: float, cells: int) -> list[float]:
-    """The ladder of `robot_value` in descending order, from a value that excludes all danger to `first_robot_value`."""
-    first, ladder = first_robot_value(largest_threat), list[float]()
-    for step in range(MOST_ROBOT_VALUES):
-        ladder.insert(0, first * 2**step)
-        if ladder[0] > cells / smallest_threat:
-            break
-    return ladder
+def ladder_of(dangers: NDArray[np.float64], cells: int) -> list[float]:
+    """Values of `robot_value`, each twice the one before: from `first_robot_value` to one that excludes all danger.
+
+    `dangers`: the threats of the dangerous cells. Empty without danger.
+    """
+    if not len(dangers):
+        return []
+    values = [first_robot_value(float(dangers.max())) * 2**step for step in range(MOST_ROBOT_VALUES)]
+    # Larger values than the first above this exclude all threats too, and give the same plan.
+    return values[: 1 + sum(value <= cells / float(dangers.min()) for value in values)]
 
 
 def between(low: float, high: float) -> float:
     """The geometric mean of two values, to three digits."""
     return float(f"{(low * high) ** 0.5:.3g}")
-
-
-def parse_numbers(name: str, text: str | None) -> tuple[float, ...] | None:
-    """The numbers of "5,10,20"; () for an empty text; None for None. Raises UsageError that names the option."""
-    if text is None:
-        return None
-    return numbers_of(name, text, 'numbers, as "5,10,20"') if text.strip() else ()
 
 
 # Results: settings with their estimates, the Pareto front, and the selected point with its plan.
@@ -395,34 +391,16 @@ def find_front(
             expected=f"at most {MOST_ROLLOUTS // 2} (as many more confirm the selected point)",
         )
     check_goal(goal or Goal(), len(starts))
-    choices = choices.timed(world.pace)
-    # The mission's own deadline also ends the settings without one.
-    choices = replace(choices, deadline=settings.deadline if choices.deadline is None else choices.deadline)
     search = _Search(world, starts, settings, choices, goal or Goal(), ladders or Ladders(), progress, doing)
-    partial = False
-    try:
+    with search.stoppable(lambda: search.points):
         search.look_at_all()
-    except KeyboardInterrupt:
-        if not search.points:
-            raise
-        partial = True
     answer = Front(
-        world=world,
-        starts=starts,
-        settings=settings,
-        choices=choices,
-        goal=search.goal,
-        points=tuple(search.distinct),
-        cells=search.cells,
-        engine=search.engine,
-        words=tuple(words),
-        partial=partial,
-        notes=tuple(search.notes),
+        **search.fields(), starts=starts, goal=search.goal, points=tuple(search.distinct), words=tuple(words)
     )
-    try:
-        return answer if partial else search.confirmed(answer)
-    except KeyboardInterrupt:
-        return replace(answer, partial=True)
+    if not search.partial:
+        with search.stoppable(lambda: True):
+            return search.confirmed(answer)
+    return replace(answer, partial=True)
 
 
 def quick_points(
@@ -447,20 +425,19 @@ def quick_points(
     choices = replace(choices, exact="never", deadline=settings.deadline)
     search = _Search(world, starts, settings, choices, Goal(), Ladders((), None, ()), None, doing)
     search.kept, begun = kept, math.inf
-    if len(search.dangers):
-        for robot_value in descending_ladder(float(search.dangers.max()), float(search.dangers.min()), search.cells):
-            point = search.look_at(Setting("per_cell", robot_value=robot_value))
-            # The first setting compiles code, so the time limit starts after it.
-            begun = min(begun, clock())
-            if point.losses.mean >= losses or clock() - begun >= seconds:
-                break
+    for robot_value in reversed(ladder_of(search.dangers, search.cells)):
+        point = search.look_at(Setting("per_cell", robot_value=robot_value))
+        # The first setting compiles code, so the time limit starts after it.
+        begun = min(begun, clock())
+        if point.losses.mean >= losses or clock() - begun >= seconds:
+            break
     for policy in ("per_cell", "mrac"):
         if clock() - begun < seconds:
             search.look_at(Setting(policy))
     return tuple(search.distinct)
 
 
-class _Search:
+class _Search(Search):
     """State of the search: `points`, and each setting's mean coverage by step, `covered`, `[T + 1]`."""
 
     def __init__(
@@ -474,19 +451,17 @@ class _Search:
         progress: ProgressCallback | None,
         doing: Doing | None,
     ) -> None:
-        self.world, self.starts, self.settings, self.choices, self.goal = world, starts, settings, choices, goal
-        self.ladders, self.kept, self.points, self.engine = ladders, AllPairs(), dict[Setting, Point](), ""
+        super().__init__(world, starts, settings, choices, progress, doing)
+        if self.choices.deadline is None:  # the mission's own deadline also ends the settings without one
+            self.choices = replace(self.choices, deadline=settings.deadline)
+        self.goal, self.ladders, self.points = goal, ladders, dict[Setting, Point]()
         self.made: tuple[Setting, Trial] | None = None
         self.covered: dict[Setting, NDArray[np.float64]] = {}
-        self.progress, self.doing = progress or quiet, doing or quiet
-        accessible = world.accessible(starts)
-        self.cells = int(accessible.sum())
-        self.dangers = world.threat[accessible & (world.threat > 0)].astype(np.float64)
+        self.dangers = world.threat[self.accessible & (world.threat > 0)].astype(np.float64)
         self.longest = longest_mission(world, starts, settings)
         self.least_deadline = self._way_home()
-        self.notes: list[str] = [] if world.value is None else [BY_CELLS]
-        if settings.return_to is not None:
-            self.notes.append(ENDS_AT_HOME)
+        self.notes += [] if world.value is None else [BY_CELLS]
+        self.notes += [] if settings.return_to is None else [ENDS_AT_HOME]
         _check_ladder("robot_value", ladders.robot_values or ())
         self.risk_caps = self._risk_caps()
 
@@ -546,17 +521,11 @@ class _Search:
 
     def _up_the_ladder(self) -> None:
         """The given values of `robot_value`; by default a ladder that doubles until nearly no robot is lost."""
-        if self.ladders.robot_values is not None:
-            for robot_value in self.ladders.robot_values:
-                self.look_at(Setting("per_cell", robot_value=robot_value))
-        elif len(self.dangers):
-            robot_value = first_robot_value(float(self.dangers.max()))
-            all_refused = self.cells / float(self.dangers.min())
-            for step in range(MOST_ROBOT_VALUES):
-                point = self.look_at(Setting("per_cell", robot_value=robot_value * 2**step))
-                # Larger values exclude all threats and give the same plan.
-                if point.losses.mean < NEARLY_NONE or robot_value * 2**step > all_refused:
-                    return
+        given = self.ladders.robot_values
+        for robot_value in ladder_of(self.dangers, self.cells) if given is None else given:
+            point = self.look_at(Setting("per_cell", robot_value=robot_value))
+            if given is None and point.losses.mean < NEARLY_NONE:
+                return
 
     def _refine(self) -> None:
         """Values of `robot_value` between two neighbours of which one meets the goal; then the lower one ended early.
@@ -633,7 +602,7 @@ class _Search:
         else:  # The return depends on the deadline: a truncated mission is not the mission with that deadline.
             trial = self._trial(setting)
         found = trial.known(1 / SETTINGS_ABOUT) or trial.sample(start, count)
-        self.engine = self.engine if found.exact else trial.engine.name
+        self.exact &= found.exact
         self.progress(count, count, time.perf_counter() - began)
         return found
 
@@ -641,8 +610,8 @@ class _Search:
         """The trial of a setting's full mission; the last one is cached."""
         # Cuts of one setting come one after the other, so one cached trial is enough.
         if self.made is None or self.made[0] != setting:
-            plan = allocated_plan(self.world, self.starts, settings_of(self.settings, setting))
-            self.made = setting, Trial(self.world, plan, replace(self.choices, deadline=None), self.kept)
+            how = {"settings": settings_of(self.settings, setting), "choices": replace(self.choices, deadline=None)}
+            self.made = setting, self.trial(**how)
         return self.made[1]
 
 

@@ -22,9 +22,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from analysis.estimators.racing import Halving, check_search, screened
-from analysis.estimators.trial import Measured, Trial
+from analysis.estimators.trial import Measured
 from analysis.report.result import Searched
 from analysis.sampling import RolloutChoices
+from analysis.search.search import Search
 from analysis.statistics.estimates import Estimate
 from analysis.theory.bounds import best_survival
 from analysis.theory.exact import CellValues, open_loop_exact
@@ -32,10 +33,8 @@ from analysis.utils.notes import Doing, ProgressCallback, quiet
 from planner.arguments import argument
 from planner.errors import MapError, UsageError
 from planner.files import check_file, read_csv_grid, read_npy, starts_with_header
-from planner.make_plan import allocated_plan, make_plan
+from planner.make_plan import make_plan
 from planner.plan.plan import Plan
-from planner.rollouts.engine import choose_engine
-from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
 from planner.world.points import read_table
 from planner.world.start_rule import check_robots, place_starts
@@ -453,39 +452,29 @@ def find_starts(
         InputError: no valid candidate, or an argument out of range.
         KeyboardInterrupt: before the first place was simulated.
     """
-    choices = choices.timed(world.pace)
     check_search(world, settings, choices, "a search for starts")
-    say = doing or quiet
     cells, notes = candidate_cells(world, candidates, source)
-    say("screening")
+    (doing or quiet)("screening")
     places = _places(world, robots, settings, cells, depot)
-    field = _Field(world, settings, choices, places, depot)
+    field = _Field(world, settings, choices, places, depot, doing)
     # The winner of a race is biased upward, so its figures come from fresh rollouts.
-    stopped, fresh = False, dict[int, Measured]()
-    say("simulating")
-    try:
+    fresh = dict[int, Measured]()
+    field.doing("simulating")
+    with field.stoppable(lambda: field.race.runs):
         field.race.run(progress)
-        say("the best on fresh rollouts")
+        field.doing("the best on fresh rollouts")
         fresh = {place: field.race.confirm(field.contender(place)) for place in {field.best, *field.now}}
-    except KeyboardInterrupt:
-        if not field.race.runs:
-            raise
-        stopped = True
+    field.exact = field.race.exact
+    field.notes += notes + (() if field.now else (ELSEWHERE,)) + screened(settings)
     answer = Starts(
-        world=world,
-        settings=settings,
+        **field.fields(),
         depot=depot,
-        choices=choices,
         places=field.figures(),
         best=field.best,
         candidates=cells,
-        cells=field.cells,
-        engine="" if field.race.exact else choose_engine(choices.engine).name,
         rolled=field.race.rolled + sum(found.rollouts for found in fresh.values()),
         gain=field.gain(fresh),
         words=tuple(words),
-        partial=stopped,
-        notes=notes + (() if field.now else (ELSEWHERE,)) + screened(settings),
     )
     at = answer.here if answer.chosen is not answer.places[answer.best] else answer.best
     return answer if at not in fresh else replace(answer, confirmed=field.known(answer.chosen, fresh[at]))
@@ -527,34 +516,32 @@ def standing(world: World, robots: int) -> NDArray[np.int64]:
     return place_starts(world, robots, world.team.start)[0]
 
 
-class _Field:
+class _Field(Search):
     """The simulated places and their estimates.
 
     Attributes:
-        race: of the places that are `entered`, in their order. cells: number of accessible cells.
+        race: of the places that are `entered`, in their order.
         now: index of the present starts, as a list of length 0 or 1.
     """
 
     def __init__(
-        self, world: World, settings: Settings, choices: RolloutChoices, places: Sequence[Place], depot: bool
+        self,
+        world: World,
+        settings: Settings,
+        choices: RolloutChoices,
+        places: Sequence[Place],
+        depot: bool,
+        doing: Doing | None,
     ) -> None:
+        super().__init__(world, places[0].starts, settings, choices, doing=doing)
         self.places = places
         self.entered = [number for number, place in enumerate(places) if place.entered]
         self.now = [number for number in self.entered if places[number].now]
-        self.cells = int(world.accessible(places[0].starts).sum())
         depots = {self.contender(number) for number in self.entered if places[number].is_depot}
         present = {self.contender(number) for number in self.now}
         self.able = depots if depot else range(len(self.entered))
-        pairs = AllPairs()
-
-        def enter(number: int) -> Trial:
-            return Trial(world, allocated_plan(world, places[number].starts, settings), choices, pairs)
-
-        self.race = Halving(
-            [partial(enter, number) for number in self.entered],
-            choices.rollouts,
-            kept=[group for group in (depots, present) if group],
-        )
+        trials = [partial(self.trial, starts=places[number].starts) for number in self.entered]
+        self.race = Halving(trials, choices.rollouts, kept=[group for group in (depots, present) if group])
 
     def contender(self, place: int) -> int:
         """Index of a place in the race."""

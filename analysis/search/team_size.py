@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators.trial import Measured, Trial
-from analysis.report.result import Result
+from analysis.report.result import Searched
 from analysis.sampling import RolloutChoices
+from analysis.search.search import Search
 from analysis.statistics.estimates import TARGETS, Estimate, error_share, exactly, is_at_least, looks
 from analysis.theory.exact import CellValues
 from analysis.theory.verdicts import longest_run
@@ -26,7 +27,6 @@ from planner.arguments import BLOCK, MOST_ROLLOUTS, Numbers, argument, check_wor
 from planner.errors import UsageError
 from planner.formatting import counted
 from planner.plan_team import plan_team
-from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
 from planner.world.start_rule import place_starts
 from planner.world.world import MAX_ROBOTS, World
@@ -69,7 +69,8 @@ def smallest_enough(first: int, most: int, verdict_of: Callable[[int], TeamVerdi
         return known[robots]
 
     below, found = first - 1, None
-    for robots in _strides(first, most):
+    strides = [first + 2**power for power in range(most.bit_length()) if first + 2**power < most]
+    for robots in dict.fromkeys([first, *strides, most]):
         if enough(robots):
             found = robots
             break
@@ -84,16 +85,6 @@ def smallest_enough(first: int, most: int, verdict_of: Callable[[int], TeamVerdi
             below, found = (below, middle) if enough(middle) else (middle, found)
         passed_over = list(range(below + 1, found))
     return next((robots for robots in passed_over if enough(robots)), found)
-
-
-def _strides(first: int, most: int) -> Iterator[int]:
-    yield first
-    stride = 1
-    while first + stride < most:
-        yield first + stride
-        stride *= 2
-    if most > first:
-        yield most
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,37 +233,28 @@ class TeamPoint:
     value: Estimate | None = None
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class TeamSize(Result):
-    """The result of `size`.
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class TeamSize(Searched):
+    """The result of `size`; `cells`: number of cells that the largest team can reach.
 
     Attributes:
-        world: the map. starts: int64 `[K, 2]` of the largest team. settings: of the plans. goal, choices: as given.
-        cells: number of cells that the largest team can reach. needed: number of them that makes the target.
+        starts: int64 `[K, 2]` of the largest team. goal: as given. needed: number of cells that makes the target.
         points: the teams simulated or excluded by a bound, by size. robots: the smallest that is enough, or None (also
             after an interruption).
         alpha: error probability of one comparison of one team (see `error_share`).
         confirmed: the team found on rollout ids that no team had in the search; None: its figures are exact.
-        engine: engine of the rollouts; "" if there were none. partial: True after an interruption. notes: for the user.
     """
 
     reported_by = "analysis.search.reports:size_report"
     listed = "curve"
 
-    world: World
     starts: NDArray[np.int64]
-    settings: Settings
     goal: Goal
-    choices: RolloutChoices
-    cells: int
     needed: int
     points: tuple[TeamPoint, ...]
     robots: int | None
     alpha: float
     confirmed: TeamPoint | None = None
-    engine: str = ""
-    partial: bool = False
-    notes: tuple[str, ...] = ()
 
     def of(self, verdict: TeamVerdict) -> tuple[int, ...]:
         """The teams with this verdict that may still be the smallest: those below the one found, if there is one."""
@@ -336,22 +318,20 @@ def find_size(
         KeyboardInterrupt: before the first team was simulated.
     """
     settings.check()
-    choices = choices.timed(world.pace)
     search = _Search(world, settings, goal, choices, progress, doing)
-    # No team is enough if even the bound of the largest one is too low.
-    robots, partial = None, False
-    try:
-        if search.first is not None:
+    robots: int | None = None
+    with search.stoppable(lambda: any(point.coverage is not None for point in search.points.values())):
+        if search.first is not None:  # no team is enough if even the bound of the largest one is too low
             robots = smallest_enough(search.first, len(search.starts), search.look_at)
-    except KeyboardInterrupt:
-        if all(point.coverage is None for point in search.points.values()):
-            raise
-        partial = True
-    answer = search.result(robots, partial)
-    try:
-        return answer if robots is None else replace(answer, confirmed=search.confirm(robots))
-    except KeyboardInterrupt:
-        return replace(answer, partial=True)
+    confirmed = None
+    if robots is not None:
+        with search.stoppable(lambda: True):
+            confirmed = search.confirm(robots)
+    return TeamSize(
+        **search.fields(), starts=search.starts, goal=goal, needed=search.needed,
+        points=tuple(search.points[k] for k in sorted(search.points)), robots=robots, alpha=search.alpha,
+        confirmed=confirmed,
+    )  # fmt: skip
 
 
 def _check_alike(settings: Settings) -> None:
@@ -363,7 +343,7 @@ def _check_alike(settings: Settings) -> None:
             raise UsageError(problem, expected="one number for all")
 
 
-class _Search:
+class _Search(Search):
     """State of the search: the teams simulated so far."""
 
     def __init__(
@@ -371,12 +351,11 @@ class _Search:
         doing: Doing,
     ) -> None:  # fmt: skip
         world.require_certain_map("the search for the smallest team")
-        self.world, self.settings, self.goal, self.choices = world, settings, goal, choices
-        self.progress, self.doing = progress, doing
-        self.starts, self.notes = team_starts(world, goal)
-        accessible = world.accessible(self.starts)
-        self.cells = int(accessible.sum())
-        self.safe = not (world.threat[accessible] > 0).any()
+        starts, notes = team_starts(world, goal)
+        super().__init__(world, starts, settings, choices, progress, doing)
+        choices, self.goal = self.choices, goal
+        self.notes += notes
+        self.safe = not (world.threat[self.accessible] > 0).any()
         self._check()
         # The tolerance keeps 0.7 * 10 from becoming 8 by rounding.
         self.needed = math.ceil(goal.target * self.cells - 1e-9)
@@ -399,7 +378,6 @@ class _Search:
         able_teams = len(self.starts) + 1 - self.first if self.first else 1
         # Union bound over all teams and checks of the search.
         self.alpha = error_share(able_teams, len(marks))
-        self.engine, self.all_pairs = "", AllPairs()
         ruled_out = range(1, self.first or len(self.starts) + 1)
         self.points = {k: self._unseen(k, TeamVerdict.IMPOSSIBLE) for k in ruled_out}
 
@@ -438,7 +416,7 @@ class _Search:
 
     def _trial(self, robots: int) -> Trial:
         plan = plan_team(self.world, self.starts[:robots], self.settings)
-        return Trial(self.world, plan, self.choices, self.all_pairs)
+        return Trial(self.world, plan, self.choices, self.kept)
 
     def _rolled(self, trial: Trial, start: int = 0, count: int | None = None) -> Iterator[Measured]:
         """The team's estimates: exact, or cumulative after every block of rollouts."""
@@ -451,7 +429,7 @@ class _Search:
         most = choices.rollouts if choices.precision is None else MOST_ROLLOUTS
         total = count or (choices.rollouts if choices.precision is None else 0)
         for found in trial.roll(start, 1 if trial.certain else count or most, looks()):
-            self.engine = trial.engine.name
+            self.exact = False
             self.progress(found.rollouts, total, found.seconds)
             yield found
 
@@ -501,21 +479,3 @@ class _Search:
         # Only the estimate after all rollouts counts.
         *_, last = self._rolled(trial, start, count)
         return self._point(trial, last)
-
-    def result(self, robots: int | None, partial: bool) -> TeamSize:
-        """The result from the current points."""
-        return TeamSize(
-            world=self.world,
-            starts=self.starts,
-            settings=self.settings,
-            goal=self.goal,
-            choices=self.choices,
-            cells=self.cells,
-            needed=self.needed,
-            points=tuple(self.points[k] for k in sorted(self.points)),
-            robots=robots,
-            alpha=self.alpha,
-            engine=self.engine,
-            partial=partial,
-            notes=self.notes,
-        )

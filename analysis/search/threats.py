@@ -14,19 +14,19 @@ from analysis.estimators.racing import Halving, check_search, screened
 from analysis.estimators.trial import Measured, Trial, alike
 from analysis.report.result import Searched
 from analysis.sampling import RolloutChoices
+from analysis.search.search import Search
 from analysis.statistics.estimates import Estimate
 from analysis.theory.bounds import reach_chances
 from analysis.theory.exact import CellValues, coverage_gradient
 from analysis.theory.upper_bound import MOST_CELLS, any_strategy, value_bound
-from analysis.utils.notes import Doing, ProgressCallback, quiet
+from analysis.utils.notes import Doing, ProgressCallback
 from planner.arguments import Numbers, argument, check_word, whole
 from planner.errors import UsageError
 from planner.files import Json
 from planner.formatting import counted
-from planner.make_plan import allocated_plan, make_plan
+from planner.make_plan import make_plan
 from planner.mrac.areas import find_areas
 from planner.plan.plan import Plan
-from planner.rollouts.engine import choose_engine
 from planner.settings import Settings
 from planner.world.levels import find_levels
 from planner.world.robot_types import Sources, Thing, Things
@@ -264,42 +264,23 @@ TABLES = 2**28
 """Pairs of cells in the stored distance tables: every map has its own table."""
 
 
-class Search:
-    """State that all selections share: team, settings, rollout choices, and whether all results so far are `exact`.
+class ThreatSearch(Search):
+    """State that all selections share; `most`: number of threats that are simulated with replanning."""
 
-    `most`: number of threats that are simulated with replanning.
-    """
+    def __init__(self, *given: Any, most: int, placing: bool = False) -> None:
+        """`given`: as of `Search`. `most`: its upper limit; memory for distance tables may lower it.
 
-    def __init__(
-        self,
-        world: World,
-        starts: NDArray[np.int64],
-        settings: Settings,
-        choices: RolloutChoices,
-        progress: ProgressCallback | None,
-        doing: Doing,
-        *,
-        most: int,
-        placing: bool = False,
-    ) -> None:
-        """`most`: its upper limit; memory for distance tables may lower it. `placing`: see `other`."""
-        self.starts, self.settings, self.choices, self.placing = starts, settings, choices, placing
-        self.progress, self.doing, self.robots = progress, doing, len(starts)
-        self.cells, self.valued = int(world.accessible(starts).sum()), world.value is not None
-        self.total = CellValues.of(world).total if self.valued else float(self.cells)
-        self.exact = True
+        `placing`: see `other`.
+        """
+        super().__init__(*given)
+        self.placing, self.valued = placing, self.world.value is not None
+        self.total = CellValues.of(self.world).total if self.valued else float(self.cells)
         # Every map has its own distance table of cells**2 entries.
         self.most = min(most, max(FEWEST, TABLES // self.cells**2))
 
-    def asked(self, world: World) -> dict[str, Any]:
-        """The common fields of the result (`ThreatResult`)."""
-        engine = "" if self.exact else choose_engine(self.choices.engine).name
-        return {"world": world, "starts": self.starts, "settings": self.settings, "choices": self.choices,
-                "cells": self.cells, "engine": engine}  # fmt: skip
-
     def anew(self, world: World) -> Trial:
         """A trial of a new plan for a map, before its nominal run."""
-        return Trial(world, allocated_plan(world, self.starts, self.settings), self.choices)
+        return self.trial(world=world)
 
     def other(self, world: World, threat: Threat) -> World:
         """The map without a present threat, or with a threat to be placed."""
@@ -465,32 +446,22 @@ def find_clearing(
         InputError: no threat, or an argument out of range.
         KeyboardInterrupt: before the first selection.
     """
-    choices = choices.timed(world.pace)
     check_search(world, settings, choices, "a search for threats to remove")
     chosen, threats, notes = threats_of(world, starts, settings.levels, remove)
     whole(1, len(threats), "a whole number of threats").check("remove", count)
-    search = Search(world, starts, settings, choices, progress, doing or quiet, most=SIMULATED)
+    search = ThreatSearch(world, starts, settings, choices, progress, doing, most=SIMULATED)
     turns: list[Turn] = []
-    left, now, gain, stopped = threats, world, None, False
-    try:
+    left, now = threats, world
+    gain: Gain | None = None
+    with search.stoppable(lambda: turns):
         for _ in range(count):
             # Greedy: each removal is evaluated on the map without the earlier ones.
             turns.append(search.turn(now, left))
             now = turns[-1].picked.threat.cleared(now)
             left = [threat for threat in left if threat is not turns[-1].picked.threat]
         (gain,) = search.confirm([search.anew(world), search.anew(now)])
-    except KeyboardInterrupt:
-        if not turns:
-            raise
-        stopped = True
-    return Clearing(
-        **search.asked(world),
-        remove=chosen,
-        turns=tuple(turns),
-        gain=gain,
-        partial=stopped,
-        notes=notes + _notes(len(threats), search.most) + screened(settings),
-    )
+    search.notes += notes + _notes(len(threats), search.most) + screened(settings)
+    return Clearing(**search.fields(), starts=starts, remove=chosen, turns=tuple(turns), gain=gain)
 
 
 def _notes(threats: int, simulated: int) -> tuple[str, ...]:
@@ -564,7 +535,7 @@ class _Adversary:
         picks: the threats placed so far.
     """
 
-    search: Search
+    search: ThreatSearch
     world: World
     places: Sequence[Threat]
     make: Callable[[World], Trial]
@@ -644,10 +615,9 @@ def find_attack(
         InputError: no cell for a threat, or an argument out of range.
         KeyboardInterrupt: before the first threat was placed.
     """
-    choices = choices.timed(world.pace)
     check_search(world, settings, choices, "a search for the worst places of threats")
     CHANCE.check("p", p)
-    search = Search(world, starts, settings, choices, progress, doing or quiet, most=MOST_PLACES, placing=True)
+    search = ThreatSearch(world, starts, settings, choices, progress, doing, most=MOST_PLACES, placing=True)
     as_is = search.anew(world)
     places, notes = places_of(world, starts, settings, float(p))
     whole(1, len(places), "a whole number of threats").check("add", count)
@@ -655,22 +625,14 @@ def find_attack(
     # The search over single threats already gives the first one.
     known = _Adversary(search, world, places, search.anew, True, [turn.picked.threat])
     hidden = _Adversary(search, world, places, as_is.under, False)
-    ends, stopped = (Placed(()), Placed(())), False
-    try:
+    ends: tuple[Placed, Placed] | None = None
+    with search.stoppable(lambda: True):
         known.place(count)
         hidden.place(count)
         ends = _confirmed(search, as_is, known.picks, hidden.picks)
-    except KeyboardInterrupt:
-        ends, stopped = (Placed(tuple(known.picks)), Placed(tuple(hidden.picks))), True
-    return Attack(
-        **search.asked(world),
-        p=float(p),
-        turn=turn,
-        known=ends[0],
-        hidden=ends[1],
-        partial=stopped,
-        notes=notes + (screened(settings) if len(places) > search.most else ()),
-    )
+    one, other = ends or (Placed(tuple(known.picks)), Placed(tuple(hidden.picks)))
+    search.notes += notes + (screened(settings) if len(places) > search.most else ())
+    return Attack(**search.fields(), starts=starts, p=float(p), turn=turn, known=one, hidden=other)
 
 
 def places_of(
@@ -697,7 +659,7 @@ def places_of(
 
 
 def _confirmed(
-    search: Search, as_is: Trial, known: Sequence[Threat], hidden: Sequence[Threat]
+    search: ThreatSearch, as_is: Trial, known: Sequence[Threat], hidden: Sequence[Threat]
 ) -> tuple[Placed, Placed]:
     """Both placements, with their cost to both kinds of robots."""
     worlds = [with_all(as_is.world, threats) for threats in (known, hidden)]

@@ -318,8 +318,11 @@ def ask(
     if not (progress is None or isinstance(progress, bool) or callable(progress)):
         raise UsageError(argument("progress", progress), expected="True, False, None or a function")
     try:
-        if callable(progress) or progress is False:
-            answer = work(progress or quiet, quiet)
+        if isinstance(progress, Watch):  # shown already, as by the command line
+            answer = work(progress, progress.doing)
+        elif callable(progress) or progress is False:
+            tell = progress or quiet
+            answer = work(lambda *now: tell(*now[:3]), quiet)
         else:
             with show_progress(things, asked=progress is True) as watch:
                 answer = work(watch, watch.doing)

@@ -23,31 +23,20 @@ from analysis.evaluation.figures import Elements, Output, Run, against, team_jso
 from analysis.page.elements import CellLayer, Chart, Series
 from analysis.statistics.estimates import Estimate
 from analysis.utils.tables import Column
-from planner.arguments import argument, numbers_of
+from planner.arguments import argument
 from planner.errors import UsageError
 from planner.files import Json
 from planner.formatting import counted
 from planner.make_plan import allocated_plan
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop, final_odds
-from planner.world.map_knowledge import RANGE, Sense, chance_of
+from planner.world.map_knowledge import Sense, chance_of
 from planner.world.uncertain_maps import Hazard, Uncertain
 from planner.world.world import World
 
 MOST_RANGES = 20
 LEAST = 1024
 """Rollouts of each team, if the evaluation had so many, for any number of teams."""
-
-
-def parse_ranges(text: str | None) -> tuple[float, ...]:
-    """The ranges of "0,1,2,inf", in cells; raises UsageError for other text."""
-    found = numbers_of("sensor_range", text, 'ranges in cells, such as "0,1,2,inf"') if text is not None else ()
-    if len(found) > MOST_RANGES:
-        raise UsageError(f"{argument('sensor_range')} has {len(found)} ranges", expected=f"{MOST_RANGES} at most")
-    for one in found:
-        if one != inf:
-            RANGE.check("sensor_range", one)
-    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +89,8 @@ class Knowledge(Output):
             raise UsageError(
                 argument("sensor_range", ",".join(map(str, asked))), expected="a map that robots learn", fix=fix
             )
+        if len(asked) > MOST_RANGES:
+            raise UsageError(f"{argument('sensor_range')} has {len(asked)} ranges", expected=f"{MOST_RANGES} at most")
         for far in asked:
             world.seeing(far)
 

@@ -34,7 +34,7 @@ from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.theory.verdicts import exact_truth
 from analysis.utils.notes import of_things
 from analysis.utils.tables import Column, in_percents, make_table, table_of
-from planner.arguments import argument, is_real, numbers_of
+from planner.arguments import argument, is_real
 from planner.errors import UsageError
 from planner.files import Json
 from planner.formatting import counted, in_percent, percent
@@ -49,19 +49,6 @@ from planner.world.world import World
 
 MOST_SCALES = 100
 LARGEST_THREAT = float(np.nextafter(np.float32(1), np.float32(0)))
-
-
-def parse_scales(text: str | None) -> tuple[float, ...]:
-    """The scales of "0.5,1,2"; raises UsageError for other text."""
-    if text is None:
-        return ()
-    expected = 'numbers, 0 or above, as "0.5,1,2"'
-    scales = numbers_of("threat_scale", text, expected)
-    if len(scales) > MOST_SCALES:
-        raise UsageError(f"{argument('threat_scale')} has {len(scales)} scales", expected=f"{MOST_SCALES} at most")
-    if not all(0 <= scale < float("inf") for scale in scales):
-        raise UsageError(f"{argument('threat_scale')} {text!r}", expected=expected)
-    return scales
 
 
 def scaled_threats(world: World, scale: float) -> World:
@@ -130,6 +117,8 @@ class ThreatScale(Output):
     @classmethod
     def check(cls, asked: Sequence[float], world: World) -> None:
         world.require_certain_map(argument("threat_scale"))
+        if len(asked) > MOST_SCALES:
+            raise UsageError(f"{argument('threat_scale')} has {len(asked)} scales", expected=f"{MOST_SCALES} at most")
         for scale in asked:
             scaled_threats(world, scale)
 
