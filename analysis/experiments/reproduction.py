@@ -574,11 +574,9 @@ def _at(figure: str, point: Point) -> float:
 
 def reproduction_json(answer: Reproduction) -> Json:
     """The JSON object of `reproduce` without its summary; coverage is a fraction."""
-    finished = answer.finished
-    ran = {"seconds": finished.seconds, "rollouts_run": finished.rollouts, "rollouts_reused": finished.reused}
     figures = {name: [_point_json(point) for point in answer.of(name)] for name in answer.figures}
     asked = {name: getattr(answer, name) for name in ("maps", "rollouts", "seed")}
-    return {**asked, "figures": figures, "statements": answer.findings, **ran, **json_end(answer)}
+    return {**asked, "figures": figures, "statements": answer.findings, **answer.finished.to_json(), **json_end(answer)}
 
 
 def _point_json(point: Point) -> Json:
