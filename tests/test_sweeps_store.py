@@ -101,9 +101,9 @@ def blocks_of(store: Store) -> list[int]:
     return [tally.rollouts for result in store.intact([]) for tally in result.tallies]
 
 
-@pytest.fixture(params=["file", "memory"])
-def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
-    with Store.open(tmp_path / "a.store") if request.param == "file" else Store() as opened:
+@pytest.fixture
+def store() -> Iterator[Store]:
+    with Store() as opened:
         yield opened
 
 
@@ -119,6 +119,8 @@ def test_blocks_grow_and_nothing_counts_twice(store: Store) -> None:
     (run,) = store.runs()
     assert run.sums == sums_of(whole) and run.rollouts == 500
     assert len(store) == 1 and blocks_of(store) == [500 - 104, 104]
+    store.forget([key_of()])
+    assert len(store) == 0 and store.tally(key_of()) is None
 
 
 def test_a_block_is_added_without_reading_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,8 +214,8 @@ def test_a_reader_leaves_nothing_behind(tmp_path: Path) -> None:
         writer.add(results_of((0, 20)))
         with Store.open(path, write=False) as reader:
             assert reader.held(key_of()) == ((0, 20),)
-            with pytest.raises(sqlite3.OperationalError, match="readonly"):
-                reader._connection.execute("DELETE FROM runs")
+            with pytest.raises(StoreError, match=r"store.db: cannot be written \(.*readonly"):
+                reader.add(results_of((20, 40)))
         assert (tmp_path / "store.db-wal").exists()
     before = path.read_bytes()
     with Store.open(path, write=False):
@@ -239,15 +241,6 @@ def test_read_only(tmp_path: Path) -> None:
         assert path.read_bytes() == before
     finally:
         path.parent.chmod(0o755)
-
-
-def test_read_only_refusal_in_words(tmp_path: Path) -> None:
-    """What SQLite says of a file that it may not write, as root meets it too: on a read-only connection."""
-    path = tmp_path / "a.db"
-    Store.open(path).close()
-    with Store.open(path, write=False) as store, pytest.raises(StoreError, match="cannot be written") as caught:
-        store.add(results_of((0, 20)))
-    assert str(path) in str(caught.value)
 
 
 def test_no_room_on_the_disk(tmp_path: Path) -> None:
