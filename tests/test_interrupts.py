@@ -53,11 +53,21 @@ main()
 """
 
 
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
+
+
+def ended(*words: str, **environment: str) -> tuple[int, str, str]:
+    """Status, output and errors of a Python process."""
+    done = subprocess.run(
+        [sys.executable, *words], capture_output=True, text=True, env=ENVIRONMENT | environment, timeout=60
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
 @pytest.mark.parametrize(("where", "times"), [("collector", 3), ("__del__", 1)])
 def test_a_swallowed_interrupt_is_sent_again(where: str, times: int) -> None:
-    command = [sys.executable, "-c", SWALLOWED, where, str(times)]
-    done = subprocess.run(command, capture_output=True, text=True, env=ENVIRONMENT, timeout=60)
-    assert (done.returncode, done.stderr) == (130, "interrupted\n") and done.stdout.startswith("lost ")
+    status, said, errors = ended("-c", SWALLOWED, where, str(times))
+    assert (status, errors) == (130, "interrupted\n") and said.startswith("lost ")
 
 
 IN_TEXT = """
@@ -74,11 +84,8 @@ sys.meta_path.insert(0, Finder())
 
 def test_interrupted_in_code_that_is_text(tmp_path: Path) -> None:
     (tmp_path / "sitecustomize.py").write_text(IN_TEXT)
-    environment = ENVIRONMENT | {"PYTHONPATH": f"{tmp_path}:{ENVIRONMENT['PYTHONPATH']}"}
-    done = subprocess.run(
-        [sys.executable, "-m", "mrac_jax"], capture_output=True, text=True, env=environment, timeout=60
-    )
-    assert (done.returncode, done.stderr) == (130, "interrupted\n")
+    status, _, errors = ended("-m", "mrac_jax", PYTHONPATH=f"{tmp_path}:{ENVIRONMENT['PYTHONPATH']}")
+    assert (status, errors) == (130, "interrupted\n")
 
 
 MADE_ANOTHER_ERROR = """
@@ -101,9 +108,8 @@ main()
 
 @pytest.mark.parametrize(("how", "status", "said"), [("interrupted", 130, "interrupted\n"), ("not", 1, "overload\n")])
 def test_an_interrupt_of_which_native_code_makes_another_error(how: str, status: int, said: str) -> None:
-    command = [sys.executable, "-c", MADE_ANOTHER_ERROR, how]
-    done = subprocess.run(command, capture_output=True, text=True, env=ENVIRONMENT, timeout=60)
-    assert done.returncode == status and done.stderr.endswith(said) and (status == 1) == ("Traceback" in done.stderr)
+    got, _, errors = ended("-c", MADE_ANOTHER_ERROR, how)
+    assert got == status and errors.endswith(said) and (status == 1) == ("Traceback" in errors)
 
 
 SPLITTING = """
@@ -124,13 +130,6 @@ main()
 SPEC = "base: {kind: contiguous, size: 8x11, ratio: 0.2}\nmaps: 100000\nrollouts: 30\n"
 SWEEP = ENDS_WITH_US + "import sys; sys.argv[0] = 'mrac-jax'; from mrac_jax.__main__ import main; main()"
 WORDS = [sys.executable, "-c", SWEEP, "sweep", "a.yaml", "--processes", "2"]
-BETWEEN = """
-import subprocess, sys, time
-quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-print(subprocess.Popen(sys.argv[1:], start_new_session=True, **quiet).pid, flush=True)
-time.sleep(600)
-"""
-ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
 
 
 def listening(pids: list[int]) -> set[str]:
@@ -190,17 +189,6 @@ def test_sigterm_is_an_interrupt_while_metis_splits(after: float) -> None:
         splitting.kill()
 
 
-def test_a_test_run_that_is_killed_leaves_no_sweep(tmp_path: Path) -> None:
-    (tmp_path / "a.yaml").write_text(SPEC)
-    words = [sys.executable, "-c", BETWEEN, *WORDS]
-    between = subprocess.Popen(words, cwd=tmp_path, env=ENVIRONMENT, stdout=subprocess.PIPE)
-    sweep = int(between.stdout.readline())
-    processes = [sweep, *two_below(sweep)]
-    between.kill()
-    between.communicate()
-    assert none_left(processes, 10)
-
-
 # How the process of a command ends: its status, what it prints, and which signals end it.
 
 ENDS = """
@@ -242,11 +230,9 @@ main()
     ("how", "status", "said"), [("returned", 3, ""), ("exit", 4, ""), ("raised", 1, "caught it\n")]
 )
 def test_status_and_what_was_printed(how: str, status: int, said: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", ENDS, how], capture_output=True, text=True, env=ENVIRONMENT, timeout=60
-    )
-    assert (done.returncode, done.stdout) == (status, "said") and done.stderr.endswith(said)
-    assert ("Traceback" in done.stderr) == (how == "raised")
+    got, out, errors = ended("-c", ENDS, how)
+    assert (got, out) == (status, "said") and errors.endswith(said)
+    assert ("Traceback" in errors) == (how == "raised")
 
 
 def test_a_closed_output_is_told_in_one_line() -> None:
@@ -316,10 +302,7 @@ for line in range(1, 61):  # of the loop's first steps
 
 
 def test_an_interrupt_between_any_two_steps_of_a_loop_ends_it() -> None:
-    root = str(Path(__file__).parent.parent)
-    command = [sys.executable, "-c", EVERYWHERE]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=root, timeout=60)
-    assert (done.stdout, done.stderr) == ("".join(f"{line} True\n" for line in range(1, 61)), "")
+    assert ended("-c", EVERYWHERE) == (0, "".join(f"{line} True\n" for line in range(1, 61)), "")
 
 
 def test_an_interrupt_that_comes_too_late_to_cancel_anything_is_not_lost() -> None:

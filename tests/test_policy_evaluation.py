@@ -51,38 +51,7 @@ from planner.world.start_rule import place_starts
 # The suite: worlds that never change, a table whose figures can be worked out by hand, errors that name the world.
 
 TINY = "contiguous-10-05-k1,scattered-10-05-k2"
-HASHES = {
-    "contiguous-10-05-k1": "c1788f228df159bf",
-    "contiguous-10-15-k1": "ba6a234cfbb69594",
-    "contiguous-10-25-k2": "ab2819b1b5e00d9b",
-    "scattered-10-05-k2": "5b606a6f710af8db",
-    "scattered-10-15-k1": "028cef84dcafe7d8",
-    "scattered-10-25-k3": "852ec60092d74796",
-    "contiguous-20-05-k2": "2841ac82228b2319",
-    "contiguous-20-15-k8": "ed066ad5d6766de4",
-    "contiguous-20-25-k20": "43c9b80b4a9f4e37",
-    "scattered-20-05-k4": "a43388f4040e2dd4",
-    "scattered-20-15-k4": "d06ba45ca0dd1e43",
-    "scattered-20-25-k8": "00cb7416a3c97a36",
-    "contiguous-40-05-k4": "a2bee396548bb694",
-    "contiguous-40-15-k12": "229fed80dc574ac5",
-    "contiguous-40-25-k8": "d75b42f3c7816dbd",
-    "scattered-40-05-k8": "36ead962d97503a5",
-    "scattered-40-15-k20": "0d9f1df11ce6afe7",
-    "scattered-40-25-k12": "6b10bab00a16d42f",
-    "contiguous-64-05-k5": "ac6ca56590150f2c",
-    "contiguous-64-15-k10": "a573a745069d5e8f",
-    "contiguous-64-25-k20": "a4c7d301fc3090ba",
-    "scattered-64-05-k10": "d065e1937ed6f4de",
-    "scattered-64-15-k20": "8256feb15a0823c5",
-    "scattered-64-25-k16": "729259d80493efd4",
-    "persistent-contiguous-20-15-k4": "d76e9b4f157da6b0",
-    "persistent-scattered-20-25-k8": "b5cb85eb3065344f",
-    "consumed-contiguous-20-15-k4": "06552d58268e80ec",
-    "consumed-scattered-20-25-k8": "445cb5e967a6ff5d",
-    "terrain-k2": "75368c1436c54dfe",
-    "terrain-k8": "9dde0ce94d4c534c",
-}
+HASHES = dict(map(str.split, (Path(__file__).parent / "fixtures" / "suite-hashes.txt").read_text().splitlines()))
 
 
 def test_worlds_are_stable_for_ever() -> None:

@@ -55,61 +55,25 @@ def kill(pid: int, number: int = signal.SIGKILL) -> bool:
     return True
 
 
-class Killer:
-    """Kills a process of a pool, from another thread where the moment is one of the pool's own."""
-
-    def __init__(self, draw: random.Random) -> None:
-        self.draw, self.kills = draw, 0
-        self.thread: threading.Thread | None = None
-
-    def now(self) -> None:
-        found = workers()
-        self.kills += bool(found) and kill(self.draw.choice(found))
-
-    def soon(self, moment: str) -> None:
-        """At a random moment of the next tasks: any, or a few milliseconds after a process was begun."""
-        self.thread = threading.Thread(target=self._soon, args=(moment, set(workers())))
-        self.thread.start()
-
-    def _soon(self, moment: str, known: set[int]) -> None:
-        if moment == "starting":
-            patience = time.monotonic() + 5
-            while not (begun := set(workers()) - known) and time.monotonic() < patience:
-                time.sleep(0.0005)
-            time.sleep(self.draw.uniform(0, 0.05))
-            self.kills += sum(kill(pid) for pid in begun)
-            return
-        time.sleep(self.draw.uniform(0, 0.03 if moment == "busy" else 0.002))
-        self.now()
-
-    def wait(self) -> None:
-        if self.thread is not None:
-            self.thread.join()
-            self.thread = None
-
-
 @pytest.mark.parametrize(("kills", "seed"), [(12, 1), pytest.param(200, 2, marks=pytest.mark.slow)])
 def test_kills_at_random_moments(kills: int, seed: int) -> None:
-    """Rounds of tasks, each with a kill; every answer comes once, and is the right one. A fourth are of the ends."""
-    draw, done, rounds = random.Random(seed), 0, 0
-    while done < kills:
-        size, killer = SIZES[rounds % 3], Killer(draw)
-        rounds += 1
+    """While processes start, work, are idle, or are ended: every answer comes once, and is the right one."""
+    draw, done = random.Random(seed), list[bool]()
+    while sum(done) < kills:
+        size, timers = draw.choice(SIZES), []
         with Pool(partial(pool_tasks.answer, size), 2) as running:
-            for moment in ("busy", "starting", "idle"):
-                if moment != "busy":
-                    killer.now()  # before the next task, which begins a process
-                if moment != "idle":
-                    killer.soon(moment)
+            for _ in range(3):
+                now = threading.Timer(draw.uniform(0, 0.2), lambda: done.extend(map(kill, workers()[:1])))
+                timers.append(now)
+                now.start()
                 tasks = [draw.randrange(10**9) for _ in range(8)]
                 found = list(running.run(tasks))
-                killer.wait()
                 assert sorted(task for task, _ in found) == sorted(tasks)
                 assert all(made == pool_tasks.answer(size, task) for task, made in found)
-            killer.soon("closing")
-        killer.wait()
+                time.sleep(draw.uniform(0, 0.1))
         assert not workers()
-        done += killer.kills
+        for timer in timers:
+            timer.join()
 
 
 def test_half_an_answer_is_no_answer() -> None:

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import run_python
 from page_reader import refused
 
 from analysis.cli.app import run
@@ -102,9 +101,9 @@ def blocks_of(store: Store) -> list[int]:
     return [tally.rollouts for result in store.intact([]) for tally in result.tallies]
 
 
-@pytest.fixture(params=["file", "memory"])
-def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
-    with Store.open(tmp_path / "a.store") if request.param == "file" else Store() as opened:
+@pytest.fixture
+def store() -> Iterator[Store]:
+    with Store() as opened:
         yield opened
 
 
@@ -120,6 +119,8 @@ def test_blocks_grow_and_nothing_counts_twice(store: Store) -> None:
     (run,) = store.runs()
     assert run.sums == sums_of(whole) and run.rollouts == 500
     assert len(store) == 1 and blocks_of(store) == [500 - 104, 104]
+    store.forget([key_of()])
+    assert len(store) == 0 and store.tally(key_of()) is None
 
 
 def test_a_block_is_added_without_reading_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -206,42 +207,6 @@ def test_bad_files(tmp_path: Path) -> None:
         assert len(store) == 0
 
 
-def test_truncated_and_flipped(tmp_path: Path) -> None:
-    """Wherever a byte is flipped or the file is cut: the right answer, or StoreError; intact rows can be saved."""
-    path = tmp_path / "a.db"
-    cases = [generated_case("scattered", 0.2, 1, seed=seed, size=(5, 6)) for seed in range(12)]
-    with Store.open(path) as store:
-        for case in cases:
-            store.add(results_of((0, 20), case=case))
-        right = {key_of(case): store.tally(key_of(case)) for case in cases}
-    whole, random = path.read_bytes(), np.random.default_rng(0)
-    bad, seen = tmp_path / "bad.db", 0
-    for trial in range(60):
-        data = bytearray(whole)
-        if trial % 4:
-            data[int(random.integers(len(data)))] ^= 1 << int(random.integers(8))
-        else:
-            del data[int(random.integers(1, len(data))) :]
-        bad.write_bytes(data)
-        with Store() as rescued:
-            try:
-                with Store.open(bad, write=False) as store:
-                    _, notes = rescued.merge(store)
-            except StoreError as error:
-                seen += 1
-                assert "bad.db" in str(error)
-                continue
-            seen += bool(notes)
-            for key, tally in right.items():
-                assert rescued.tally(key) in (None, tally)
-        try:
-            with Store.open(bad) as store:
-                assert all(store.tally(key) in (None, tally) for key, tally in right.items())
-        except StoreError:
-            pass
-    assert seen > 30
-
-
 def test_a_reader_leaves_nothing_behind(tmp_path: Path) -> None:
     """Nor does it take the log of a writer that goes on, and it writes nothing."""
     path = tmp_path / "store.db"
@@ -249,8 +214,8 @@ def test_a_reader_leaves_nothing_behind(tmp_path: Path) -> None:
         writer.add(results_of((0, 20)))
         with Store.open(path, write=False) as reader:
             assert reader.held(key_of()) == ((0, 20),)
-            with pytest.raises(sqlite3.OperationalError, match="readonly"):
-                reader._connection.execute("DELETE FROM runs")
+            with pytest.raises(StoreError, match=r"store.db: cannot be written \(.*readonly"):
+                reader.add(results_of((20, 40)))
         assert (tmp_path / "store.db-wal").exists()
     before = path.read_bytes()
     with Store.open(path, write=False):
@@ -278,15 +243,6 @@ def test_read_only(tmp_path: Path) -> None:
         path.parent.chmod(0o755)
 
 
-def test_read_only_refusal_in_words(tmp_path: Path) -> None:
-    """What SQLite says of a file that it may not write, as root meets it too: on a read-only connection."""
-    path = tmp_path / "a.db"
-    Store.open(path).close()
-    with Store.open(path, write=False) as store, pytest.raises(StoreError, match="cannot be written") as caught:
-        store.add(results_of((0, 20)))
-    assert str(path) in str(caught.value)
-
-
 def test_no_room_on_the_disk(tmp_path: Path) -> None:
     """What SQLite says when the disk is full: nothing of the transaction is there, everything before it is."""
     with Store.open(tmp_path / "a.db") as store:
@@ -300,46 +256,6 @@ def test_no_room_on_the_disk(tmp_path: Path) -> None:
         store._connection.execute("PRAGMA max_page_count = 100000")
         store.add(more)
         assert len(store) == 20
-
-
-def test_full_disk(tmp_path: Path) -> None:
-    """A file that may not grow further, at several sizes: a clear error, and what was before is there after."""
-    cases = [generated_case("scattered", 0.2, 2, seed=seed, size=(9, 9)) for seed in range(20)]
-    results = [results_of((0, 20), case=case) for case in cases]
-    with Store.open(tmp_path / "first.db") as store:
-        store.add(results[0])
-    script = """if True:
-        import resource, sys
-        sys.path.insert(0, "tests")
-        from test_sweeps_store import *
-        cases = [generated_case("scattered", 0.2, 2, seed=seed, size=(9, 9)) for seed in range(20)]
-        results = [results_of((0, 20), case=case) for case in cases]
-        for room in (20_000, 60_000, 90_000):
-            path = Path(sys.argv[1]) / f"{room}.db"
-            path.write_bytes((Path(sys.argv[1]) / "first.db").read_bytes())
-            store = Store.open(path)
-            resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
-            done = 0
-            try:
-                for result in results:
-                    store.add(result)
-                    done += 1
-            except StoreError as error:
-                print(room, done, error, flush=True)
-            resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    """
-    lines = run_python(script, str(tmp_path)).splitlines()
-    assert [line.split()[0] for line in lines] == ["20000", "60000", "90000"]
-    for line in lines:
-        room, done, words = line.split(" ", 2)
-        assert "cannot be written" in words and "free disk space" in words and int(done) < 20
-        with Store.open(tmp_path / f"{room}.db") as store:
-            assert len(store) >= max(1, int(done))
-            for case in cases[: max(1, int(done))]:
-                assert store.held(key_of(case)) == ((0, 20),) and store.tally(key_of(case)) is not None
-            for result in results:
-                store.add(result)
-            assert len(store) == 20
 
 
 def test_ranges() -> None:
@@ -499,21 +415,27 @@ def resumed(path: Path, right: dict[str, Tally | None]) -> bool:
 
 
 @pytest.mark.parametrize("use", [read, merged, resumed])
-def test_one_flipped_bit(whole: Path, tmp_path: Path, use: Callable[[Path, dict[str, Tally | None]], bool]) -> None:
-    """Three flips in each part of the file: what is right, or a StoreError or note about this file."""
+def test_one_flipped_bit_or_cut(
+    whole: Path, tmp_path: Path, use: Callable[[Path, dict[str, Tally | None]], bool]
+) -> None:
+    """Three flips in each part of the file, and eight cuts: what is right, or a StoreError or note about this file."""
     with Store.open(whole, write=False) as store:
         right = tallies(store)
-    data, random, refused = whole.read_bytes(), np.random.default_rng(0), 0
-    for name, place in places(whole).items():
-        for trial in range(3):
-            bad, at = tmp_path / f"{name}{trial}.store", int(random.choice(place))
-            bad.write_bytes(data[:at] + bytes([data[at] ^ 1 << int(random.integers(8))]) + data[at + 1 :])
-            try:
-                assert use(bad, right), (name, at)
-            except StoreError as error:
-                refused += 1
-                assert bad.name in str(error) and "\n" not in str(error)
-    assert refused < 20 and (refused >= 2 or use is merged)
+    data, random, refused = whole.read_bytes(), np.random.default_rng(0), {"flip": 0, "cut": 0}
+    changed = [("cut", data[:at]) for at in random.integers(1, len(data), 8).tolist()]
+    flipped = [at for place in places(whole).values() for at in random.choice(place, 3).tolist()]
+    changed += [
+        ("flip", data[:at] + bytes([data[at] ^ 1 << number % 8]) + data[at + 1 :]) for number, at in enumerate(flipped)
+    ]
+    for number, (how, content) in enumerate(changed):
+        bad = tmp_path / f"{number}.store"
+        bad.write_bytes(content)
+        try:
+            assert use(bad, right), (how, number)
+        except StoreError as error:
+            refused[how] += 1
+            assert bad.name in str(error) and "\n" not in str(error)
+    assert refused["flip"] < 20 and ((refused["flip"] >= 2 and refused["cut"] == 8) or use is merged)
 
 
 def hide_a_block(path: Path) -> None:

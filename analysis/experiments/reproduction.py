@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial, reduce
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,9 +36,6 @@ from planner.files import Json
 from planner.formatting import counted, in_percent, percent
 from planner.tally import Tally, add_padded
 from planner.world.generate import Kind
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 # Data of the paper's figures: one setting of the experiments, averaged over maps.
 
@@ -148,6 +145,10 @@ LOOPS = (("closed", ""), ("first", FIRST))
 """The closed loop with threats at every visit or at first visits only, and the suffix of statements."""
 
 
+STATED: dict[str, tuple[tuple[int, float], ...]] = {"fig5": ((1, 0.44), (2, 0.62))}
+"""(abscissa, coverage) stated in the paper's text."""
+
+
 class StatementVerdict(StrEnum):
     """The result of a comparison."""
 
@@ -174,25 +175,24 @@ class Finding:
 
 def findings(points: Sequence[Point]) -> list[Finding]:
     """All statements that these points can test."""
-    return [finding for of_figure in (_figure4, _figure5, _figure6, _figure7) for finding in of_figure(points)]
+    compared = (_compared(*direction) for direction in _directions(points) if direction[2])
+    return [*_figure4(points), *_numbers(points), *compared]
 
 
 def _figure4(points: Sequence[Point]) -> Iterator[Finding]:
     """The map of Fig. 4 is not published: compare its two runs with the distribution of runs on our maps."""
-    for point in _teams(points, "contiguous"):
-        if ("share", "closed", "time") not in point.columns:
-            continue
+    teams = [point for point in _teams(points, "contiguous") if ("share", "closed", "time") in point.columns]
+    for point, (loop, how) in itertools.product(teams, LOOPS):
         coverage, steps = FIGURE4[point.robots]
-        for loop, how in LOOPS:
-            shares = [float(point.columns["share", loop, name].mean()) for name in ("coverage", "time")]
-            less, faster = map(percent, shares)
-            found = f"{less} of our runs cover no more of the free cells, {faster} take no longer"
-            # Continuity correction: a share of 0 or 1 would give an infinite deviation.
-            least = 0.5 / (len(point.columns["share", loop, "time"]) * point.rollouts)
-            deviation = max((float(ndtri(np.clip(share, least, 1 - least))) for share in shares), key=abs)
-            verdict = StatementVerdict.REPRODUCED if abs(deviation) <= ENOUGH else StatementVerdict.NOT_REPRODUCED
-            said = f"one map, {counted(point.robots, 'robot')}: {100 * coverage:.2f} % in {counted(steps, 'step')}{how}"
-            yield Finding("Fig. 4", said, found, deviation, verdict)
+        columns = [point.columns["share", loop, name] for name in ("coverage", "time")]
+        shares = [float(column.mean()) for column in columns]
+        less, faster = map(percent, shares)
+        found = f"{less} of our runs cover no more of the free cells, {faster} take no longer"
+        # Continuity correction: a share of 0 or 1 would give an infinite deviation.
+        least = 0.5 / (len(columns[1]) * point.rollouts)
+        deviation = max((float(ndtri(np.clip(share, least, 1 - least))) for share in shares), key=abs)
+        said = f"one map, {counted(point.robots, 'robot')}: {100 * coverage:.2f} % in {counted(steps, 'step')}{how}"
+        yield Finding("Fig. 4", said, found, deviation, _of_number(deviation))
 
 
 def _teams(points: Sequence[Point], kind: str) -> list[Point]:
@@ -200,109 +200,78 @@ def _teams(points: Sequence[Point], kind: str) -> list[Point]:
     return sorted(found, key=lambda point: point.robots)
 
 
-def _figure5(points: Sequence[Point]) -> Iterator[Finding]:
-    teams = _teams(points, "contiguous")
+def _numbers(points: Sequence[Point]) -> Iterator[Finding]:
+    """The coverage that the paper states for one robot and for two."""
+    by_team = {point.robots: point for point in _teams(points, "contiguous")}
+    stated = [(by_team[robots], said) for robots, said in STATED["fig5"] if robots in by_team]
+    for (point, said), (loop, how) in itertools.product(stated, LOOPS):
+        ours = point.estimate(loop, "visited")
+        # The paper gives no errors; its design determines them.
+        paper = point.spread_of_a_run(loop, "visited") / math.sqrt(PAPER_MAPS)
+        # Standard deviation of a uniform rounding error of one percent.
+        rounding = 0.01 / math.sqrt(12)
+        deviation = (ours.mean - said) / math.sqrt(ours.se**2 + paper**2 + rounding**2)
+        found = f"{in_percent(ours.mean)} +- {100 * ours.se:.1f} %"
+        statement = f"{counted(point.robots, 'robot')}: {100 * said:g} % covered{how}"
+        yield Finding("Fig. 5", statement, found, deviation, _of_number(deviation))
+
+
+def _of_number(deviation: float) -> StatementVerdict:
+    return StatementVerdict.REPRODUCED if abs(deviation) <= ENOUGH else StatementVerdict.NOT_REPRODUCED
+
+
+Direction = tuple[str, str, list[tuple[Point, Point]], str, int, str]
+"""Figure, statement, pairs of points, the quantity that changes from the first to the second of every pair, the sign of
+the change, and the loop."""
+
+
+def _directions(points: Sequence[Point]) -> Iterator[Direction]:
+    """The paper's statements on directions; those without pairs cannot be tested."""
+    teams, scattered = (_teams(points, kind) for kind in ("contiguous", "scattered"))
     by_team = {point.robots: point for point in teams}
-    for robots, said in ((1, 0.44), (2, 0.62)):
-        if robots in by_team:
-            for loop, how in LOOPS:
-                yield _number(
-                    "Fig. 5", f"{counted(robots, 'robot')}: {100 * said:g} % covered{how}", by_team[robots], said, loop
-                )
-    if 1 in by_team and 2 in by_team:
-        one, two = by_team[1], by_team[2]
-        for loop, how in LOOPS:
-            yield _all_of("Fig. 5", f"time rises from one robot to two{how}", [(one, two)], "time", 1, loop)
-    after = [point for point in teams if point.robots >= 2]
-    if len(after) > 1:
-        yield _every("Fig. 5", "time falls with every robot after the second", after, "time", -1)
-    if len(teams) > 1:
-        yield _every("Fig. 5", "coverage rises with every robot", teams, "visited", 1)
-
-
-def _figure6(points: Sequence[Point]) -> Iterator[Finding]:
-    teams = _teams(points, "scattered")
-    others = {point.robots: point for point in _teams(points, "contiguous")}
-    both = [(others[point.robots], point) for point in teams if point.robots in others]
-    if both:
-        yield _all_of("Fig. 6", "coverage is lower than in contiguous areas", both, "visited", -1)
-        yield _all_of("Fig. 6", "coverage takes longer than in contiguous areas", both, "time", 1)
-    if len(teams) > 1:
-        yield _every("Fig. 6", "coverage rises with every robot", teams, "visited", 1)
-        yield _every("Fig. 6", "time falls with every robot", teams, "time", -1)
-
-
-def _figure7(points: Sequence[Point]) -> Iterator[Finding]:
+    both = [(by_team[point.robots], point) for point in scattered if point.robots in by_team]
+    one_two = [(by_team[1], by_team[2])] if {1, 2} <= by_team.keys() else []
     ratios = sorted((p for p in points if p.kind == "contiguous" and p.robots == 8), key=lambda point: point.ratio)
-    if len({point.ratio for point in ratios}) < 3:
-        return
-    yield _every("Fig. 7", "coverage falls with the ratio of threats", ratios, "visited", -1)
-    below = [point for point in ratios if point.ratio <= 0.15 + 1e-9]
-    above = [point for point in ratios if point.ratio >= 0.15 - 1e-9]
-    if len(below) > 1:
-        yield _every("Fig. 7", "time rises up to a ratio of 15 %", below, "time", 1)
-    if len(above) > 1:
-        yield _every("Fig. 7", "time falls above 15 %", above, "time", -1)
-        yield _every("Fig. 7", f"time falls above 15 %{FIRST}", above, "time", -1, "first")
+    ratios = ratios if len({point.ratio for point in ratios}) >= 3 else []
+    below, above = ([p for p in ratios if sign * (p.ratio - 0.15) <= 1e-9] for sign in (1, -1))
+
+    def every(of: Sequence[Point]) -> list[tuple[Point, Point]]:
+        return list(itertools.pairwise(of))
+
+    for loop, how in LOOPS:
+        yield "Fig. 5", f"time rises from one robot to two{how}", one_two, "time", 1, loop
+    after = every([point for point in teams if point.robots >= 2])
+    yield "Fig. 5", "time falls with every robot after the second", after, "time", -1, "closed"
+    yield "Fig. 5", "coverage rises with every robot", every(teams), "visited", 1, "closed"
+    yield "Fig. 6", "coverage is lower than in contiguous areas", both, "visited", -1, "closed"
+    yield "Fig. 6", "coverage takes longer than in contiguous areas", both, "time", 1, "closed"
+    yield "Fig. 6", "coverage rises with every robot", every(scattered), "visited", 1, "closed"
+    yield "Fig. 6", "time falls with every robot", every(scattered), "time", -1, "closed"
+    yield "Fig. 7", "coverage falls with the ratio of threats", every(ratios), "visited", -1, "closed"
+    yield "Fig. 7", "time rises up to a ratio of 15 %", every(below), "time", 1, "closed"
+    for loop, how in LOOPS:
+        yield "Fig. 7", f"time falls above 15 %{how}", every(above), "time", -1, loop
 
 
-def _number(figure: str, statement: str, point: Point, said: float, loop: str = "closed") -> Finding:
-    ours = point.estimate(loop, "visited")
-    # The paper gives no errors; its design determines them.
-    paper = point.spread_of_a_run(loop, "visited") / math.sqrt(PAPER_MAPS)
-    # Standard deviation of a uniform rounding error of one percent.
-    rounding = 0.01 / math.sqrt(12)
-    deviation = (ours.mean - said) / math.sqrt(ours.se**2 + paper**2 + rounding**2)
-    verdict = StatementVerdict.REPRODUCED if abs(deviation) <= ENOUGH else StatementVerdict.NOT_REPRODUCED
-    return Finding(figure, statement, f"{in_percent(ours.mean)} +- {100 * ours.se:.1f} %", deviation, verdict)
-
-
-Gap = tuple[float, float]
-"""A mean difference and its standard error."""
-
-
-def _gap(before: Point, after: Point, figure: str, loop: str) -> Gap:
-    """after - before, map by map."""
-    apart = over_maps(after.columns["mean", loop, figure] - before.columns["mean", loop, figure])
-    return apart.mean, apart.se
-
-
-def _steps(gap: Gap) -> str:
-    return f"by {gap[0]:+.1f} +- {gap[1]:.1f} steps"
-
-
-def _statements_points(gap: Gap) -> str:
-    return f"by {100 * gap[0]:+.1f} +- {100 * gap[1]:.1f} points"
-
-
-def _judged(deviation: float) -> StatementVerdict:
-    if deviation >= ENOUGH:
-        return StatementVerdict.REPRODUCED
-    return StatementVerdict.NOT_REPRODUCED if deviation <= -ENOUGH else StatementVerdict.UNDECIDED
-
-
-def _deviation(gap: Gap, sign: int) -> float:
-    mean, se = gap
-    return sign * mean / se if se > 0 else sign * float(np.sign(mean)) * math.inf if mean else 0.0
-
-
-def _every(figure: str, statement: str, points: list[Point], what: str, sign: int, loop: str = "closed") -> Finding:
-    """Between consecutive points: the worst difference decides."""
-    return _all_of(figure, statement, list(itertools.pairwise(points)), what, sign, loop)
-
-
-def _all_of(
-    figure: str, statement: str, pairs: list[tuple[Point, Point]], what: str, sign: int, loop: str = "closed"
+def _compared(
+    figure: str, statement: str, pairs: list[tuple[Point, Point]], what: str, sign: int, loop: str
 ) -> Finding:
-    """From the first to the second point of every pair, `what` changes in the direction `sign`: the worst decides."""
-    gaps = [(_deviation(_gap(a, b, what, loop), sign), a, b) for a, b in pairs]
-    worst, before, after = min(gaps, key=lambda one: one[0])
-    gap = _gap(before, after, what, loop)
-    words = _steps(gap) if what == "time" else _statements_points(gap)
+    """The worst pair decides: the difference is taken map by map."""
+    gaps = []
+    for before, after in pairs:
+        gap = over_maps(after.columns["mean", loop, what] - before.columns["mean", loop, what])
+        change = sign * gap.mean
+        gaps.append(
+            (change / gap.se if gap.se > 0 else math.copysign(math.inf, change) if change else 0.0, gap, before, after)
+        )
+    worst, gap, before, after = min(gaps, key=lambda one: one[0])
+    scale, unit = (1, "steps") if what == "time" else (100, "points")
     wrong = sum(deviation <= -ENOUGH for deviation, *_ in gaps)
     said = f"{wrong} of {len(gaps)} in the other direction; " if wrong and len(gaps) > 1 else ""
     where = f"worst {_named(before, after)}: " if len(gaps) > 1 else ""
-    return Finding(figure, statement, f"{said}{where}{words}", worst, _judged(worst))
+    found = f"{said}{where}by {scale * gap.mean:+.1f} +- {scale * gap.se:.1f} {unit}"
+    right = StatementVerdict.REPRODUCED if worst >= ENOUGH else StatementVerdict.UNDECIDED
+    return Finding(figure, statement, found, worst, StatementVerdict.NOT_REPRODUCED if worst <= -ENOUGH else right)
 
 
 def _named(before: Point, after: Point) -> str:
@@ -373,15 +342,12 @@ class _Collected:
     """Columns and single runs of each setting, map by map, as they are computed."""
 
     settings: tuple[Setting, ...]
-    seed: int
     store: Store
     found: dict[Setting, dict[int, tuple[Columns, Runs]]] = field(default_factory=dict)
 
     def take(self, done: Done) -> None:
         """Add a finished job: its runs' tallies and facts, as columns."""
-        labels = dict(done.job.case.labels)
-        kind: Kind = "contiguous" if labels["kind"] == "contiguous" else "scattered"
-        setting = Setting(kind, int(labels["robots"] or 0), float(labels["ratio"] or 0))
+        number, place = divmod(done.job.tag, len(self.settings))
         columns, singles = Columns(), list[Runs]()
         for loop, key in zip(("closed", "first"), done.keys, strict=True):
             run, tally = self.store.run(key), self.store.tally(key)
@@ -389,8 +355,7 @@ class _Collected:
             free, accessible = run.facts["cells"]["free"], run.facts["cells"]["accessible"]
             columns |= columns_of(run, tally, loop, free) | _exact_columns(run.facts, free, accessible)
             singles.append(runs_of(tally, free))
-        number = int(labels["map"] or 0) - self.seed
-        self.found.setdefault(setting, {})[number] = (columns, singles[0])
+        self.found.setdefault(self.settings[place], {})[number] = (columns, singles[0])
 
     def points(self, rollouts: int) -> tuple[dict[Setting, Point], int]:
         """The points over the maps that every setting has, and the number of these maps."""
@@ -409,14 +374,14 @@ def reproduce(
     rollouts: int,
     seed: int = 0,
     store: Store | None = None,
-    processes: int | None = None,
-    scheduler: str | Client | None = None,
     progress: ProgressCallback | None = None,
+    **where: Any,
 ) -> Reproduction:
-    """Run the settings of a figure (or "all") and collect the points; the executors are those of `run_cases`.
+    """Run the settings of a figure (or "all") and collect the points.
 
     Args:
         store: results are read from it and written to it; None: in memory.
+        where: `processes`, `scheduler` as in `run_cases`.
 
     Returns:
         The result. After an interruption: the maps done so far.
@@ -430,7 +395,7 @@ def reproduce(
     needed = [*names, *(("fig5",) if "fig6" in names else ())]
     settings = tuple(dict.fromkeys(setting for name in needed for setting in SETTINGS[name]))
     held = Store() if store is None else store
-    collected = _Collected(settings, seed, held)
+    collected = _Collected(settings, held)
 
     def take(done: Done) -> None:
         collected.take(done)
@@ -439,14 +404,8 @@ def reproduce(
         if progress is not None:
             progress(done.jobs, done.total, done.seconds)
 
-    finished = run_cases(
-        _jobs(settings, maps, rollouts, seed),
-        held,
-        processes=processes,
-        scheduler=scheduler,
-        total=maps * len(settings),
-        progress=take,
-    )
+    jobs = _jobs(settings, maps, rollouts, seed)
+    finished = run_cases(jobs, held, total=maps * len(settings), progress=take, **where)
     points, done = collected.points(rollouts)
     if not points:
         raise KeyboardInterrupt
@@ -455,10 +414,9 @@ def reproduce(
 
 def _jobs(settings: tuple[Setting, ...], maps: int, rollouts: int, seed: int) -> Iterator[Job]:
     """Map after map, so that an interruption leaves complete maps."""
-    for number in range(seed, seed + maps):
+    for tag, (number, one) in enumerate(itertools.product(range(seed, seed + maps), settings)):
         models = tuple(RolloutChoices(seed=number, first_only=only) for only in (False, True))
-        for setting in settings:
-            yield Job(generated_case(setting.kind, setting.ratio, setting.robots, number), models, rollouts)
+        yield Job(generated_case(one.kind, one.ratio, one.robots, number), models, rollouts, tag)
 
 
 def _exact_columns(facts: Json, free: int, accessible: int) -> Columns:
@@ -487,8 +445,6 @@ TITLES = {
     "fig6": "Fig. 6: 1 to 20 robots, scattered threats",
     "fig7": "Fig. 7: 8 robots, threats on 0 to 35 % of the cells",
 }
-STATED: dict[str, tuple[tuple[float, float], ...]] = {"fig5": ((1, 0.44), (2, 0.62))}
-"""(abscissa, coverage) stated in the paper's text."""
 TABLE = (
     ("visited", "closed", "visited", 100.0),
     ("survived", "closed", "survived", 100.0),
@@ -618,18 +574,9 @@ def _at(figure: str, point: Point) -> float:
 
 def reproduction_json(answer: Reproduction) -> Json:
     """The JSON object of `reproduce` without its summary; coverage is a fraction."""
-    finished = answer.finished
-    return {
-        "maps": answer.maps,
-        "rollouts": answer.rollouts,
-        "seed": answer.seed,
-        "figures": {name: [_point_json(point) for point in answer.of(name)] for name in answer.figures},
-        "statements": answer.findings,
-        "seconds": finished.seconds,
-        "rollouts_run": finished.rollouts,
-        "rollouts_reused": finished.reused,
-        **json_end(answer),
-    }
+    figures = {name: [_point_json(point) for point in answer.of(name)] for name in answer.figures}
+    asked = {name: getattr(answer, name) for name in ("maps", "rollouts", "seed")}
+    return {**asked, "figures": figures, "statements": answer.findings, **answer.finished.to_json(), **json_end(answer)}
 
 
 def _point_json(point: Point) -> Json:

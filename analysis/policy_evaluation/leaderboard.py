@@ -6,7 +6,7 @@ import math
 import runpy
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cache, cached_property, partial
@@ -80,24 +80,25 @@ class WorldResults:
         """Mean share of the team that is lost."""
         return float(self.rolled[entry].lost.mean()) / self.robots
 
+    @property
+    def limits(self) -> Json:
+        """`bound` and `optimum` as fractions of the accessible cells."""
+        best = None if self.optimum is None else self.optimum / self.cells
+        return {"bound": self.bound / self.cells, "optimum": best}
+
     @cached_property
     def scores(self) -> dict[str, NDArray[np.float64]]:
         """By entry, float64 `[B]`, see `scores_of`; empty if the bound is not above the random walk."""
-        walk = self.rolled[RANDOM].visited / self.cells
-        found = {
-            name: scores_of(of.visited / self.cells, walk, self.bound / self.cells) for name, of in self.rolled.items()
-        }
+        walk, bound = self.rolled[RANDOM].visited / self.cells, self.bound / self.cells
+        found = {name: scores_of(of.visited / self.cells, walk, bound) for name, of in self.rolled.items()}
         return {name: scores for name, scores in found.items() if scores is not None}
 
     @property
     def first(self) -> set[str]:
         """The entries that no other is significantly ahead of: the best, and those not significantly behind it."""
         best = max(self.rolled.values(), key=lambda of: float(of.visited.mean())).visited
-        return {name for name, of in self.rolled.items() if _least(best - of.visited) <= 0}
-
-
-def _least(apart: NDArray[np.int64]) -> float:
-    return 0.0 if len(apart) < 2 else estimate_of(apart.astype(np.float64)).ci95[0]
+        apart = {name: (best - of.visited).astype(np.float64) for name, of in self.rolled.items()}
+        return {name for name, more in apart.items() if len(more) < 2 or estimate_of(more).ci95[0] <= 0}
 
 
 @dataclass(frozen=True)
@@ -335,20 +336,6 @@ PLANNER_ENTRIES = {
 """The planner's entries: settings, and the loop in which the plan is simulated."""
 
 
-@dataclass(frozen=True)
-class SuiteRun:
-    """The entries and rollouts of a run of the suite.
-
-    Attributes:
-        rollouts, seed: of every entry. own: the given policy, or None. plans: files of other planners, by world.
-    """
-
-    rollouts: int
-    seed: int
-    own: GivenPolicy | None
-    plans: Mapping[str, Mapping[str, Path]]
-
-
 def run_suite(
     names: tuple[str, ...],
     own: GivenPolicy | None,
@@ -363,18 +350,17 @@ def run_suite(
     An interruption (KeyboardInterrupt) leaves the worlds done so far; if there are none, it is raised again. Raises
     InputError.
     """
-    RolloutChoices(rollouts=rollouts, seed=seed)
     if own is not None and own.name in (RANDOM, *PLANNER_ENTRIES):
         raise UsageError(
             f"a policy with the name {own.name!r}", source=own.description, expected="a name of no other entry"
         )
-    asked = SuiteRun(rollouts, seed, own, plan_files(plans, names))
+    task = partial(play, RolloutChoices(rollouts=rollouts, seed=seed), own, plan_files(plans, names))
     wanted = wanted_for(None if own is None else own.given, processes, len(names))
     begun, found, partial_answer = time.monotonic(), {}, False
     # Large worlds first: a late large world would leave other processes idle.
     largest = sorted(names, key=lambda name: -suite_world(name).threat.size)
     try:
-        for name, played in answers(partial(play, asked), largest, wanted):
+        for name, played in answers(task, largest, wanted):
             found[name] = played
             progress(len(found), len(names), time.monotonic() - begun)
     except KeyboardInterrupt:
@@ -387,16 +373,21 @@ def run_suite(
     )
 
 
-def play(asked: SuiteRun, name: str) -> WorldResults:
-    """All entries on one world. Raises InputError that names a policy and the world."""
+def play(
+    choices: RolloutChoices, own: GivenPolicy | None, files: Mapping[str, Mapping[str, Path]], name: str
+) -> WorldResults:
+    """All entries on one world. Raises InputError that names a policy and the world.
+
+    `own`: the given policy, or None. `files`: plans of other planners, by world.
+    """
     world = suite_world(name)
     assert world.starts is not None
     cells = int(world.accessible(world.starts).sum())
     # Plans and policies end at the same step, so that their coverage is comparable.
-    choices = RolloutChoices(rollouts=asked.rollouts, seed=asked.seed, deadline=TIMES * cells)
+    choices = replace(choices, deadline=TIMES * cells)
     make_env = partial(of_jax("environment"), world, max_steps=TIMES * cells)
-    plans = {planner: _read_external(files[name], world) for planner, files in asked.plans.items() if name in files}
-    rolled = {} if asked.own is None else {asked.own.name: _own(asked.own, world, make_env, choices)}
+    plans = {planner: _read_external(of[name], world) for planner, of in files.items() if name in of}
+    rolled = {} if own is None else {own.name: _own(own, world, make_env, choices)}
     rolled[RANDOM] = _policy(make_env(), None, choices)
     for rival, (settings, loop) in PLANNER_ENTRIES.items():
         rolled[rival] = _plan(world, plan_team(world, world.starts, settings), loop, choices)
@@ -482,7 +473,17 @@ class Suite(Mapping[str, World]):
 
 # The report of `mrac-jax suite`.
 
-RANKS = ("rank", "", "score, %", "behind, points", "visited, %", "lost, %", "first on", "worlds")
+RANKS: dict[str, Callable[[Row], object]] = {
+    "rank": lambda row: row.rank or "-",
+    "": lambda row: row.name,
+    "score, %": lambda row: _half(row.score),
+    "behind, points": lambda row: "" if row.rank == 1 else _half(row.behind),
+    "visited, %": lambda row: in_percent(row.coverage),
+    "lost, %": lambda row: in_percent(row.lost),
+    "first on": lambda row: row.first,
+    "worlds": lambda row: row.worlds,
+}
+"""Columns of the table of ranks."""
 NOTES = (
     "score: (J - random walk) / (bound - random walk) of mean coverage J, averaged over worlds; ± half the 95 % "
     "interval over rollouts, in brackets its ends",
@@ -495,20 +496,17 @@ def report(standing: Leaderboard) -> Report:
     """Ranks and worlds as tables; both as Markdown, all figures as CSV, and the worlds as files."""
     count = counted(len(standing.worlds), "world")
     mine = [row for row in standing.entries if row.name == standing.own]
+    ranks = _table(RANKS, ([make(row) for make in RANKS.values()] for row in standing.entries))
+    worlds = _worlds_table(standing)
     return Report(
         "suite", "suite", "Which policy covers most?", headline(standing), partial(_json, standing),
         figures=[KeyFigure(f"{row.rank} of {len(standing.entries)}", f"rank of {row.name}") for row in mine],
         heading=[f"{count}, {counted(standing.rollouts, 'rollout')} each, seed {standing.seed}"],
         took=[f"{standing.seconds:.0f} s"],
-        parts=[
-            Section("Ranks", [_table(RANKS, map(_ranked, standing.entries))], NOTES[:2]),
-            Section("Visited on every world, %", [_table(_columns(standing), _worlds(standing))], NOTES[2:]),
-        ],
+        parts=[Section("Ranks", [ranks], NOTES[:2]), Section("Visited on every world, %", [worlds], NOTES[2:])],
         warnings=("Interrupted: only the worlds that are done.",) if standing.partial else (),
         files={
-            "suite.md": lambda: "\n".join(
-                [*_markdown(RANKS, map(_ranked, standing.entries)), "",
-                 *_markdown(_columns(standing), _worlds(standing)), ""]),
+            "suite.md": lambda: "\n".join([*_markdown(ranks), "", *_markdown(worlds), ""]),
             "suite.csv": lambda: csv_text(CSV, _lines(standing)),
             **{f"worlds/{played.name}.npz": suite_world(played.name).to_bytes for played in standing.worlds},
         },
@@ -536,38 +534,30 @@ def _half(estimate: Estimate | None, most: int | None = None) -> str:
     return estimate.around(100, most=most, digits=max(1, estimate.digits(100)))
 
 
-def _ranked(row: Row) -> tuple[str, ...]:
-    behind = "" if row.rank == 1 else _half(row.behind)
-    rank = "-" if row.rank is None else str(row.rank)
-    shares = (in_percent(row.coverage), in_percent(row.lost))
-    return rank, row.name, _half(row.score), behind, *shares, str(row.first), str(row.worlds)
-
-
-def _columns(standing: Leaderboard) -> tuple[str, ...]:
-    names = [row.name for row in standing.entries if row.name != RANDOM]
-    return ("world", "cells", "bound", "optimum", RANDOM, *names)
-
-
-def _worlds(standing: Leaderboard) -> Iterator[tuple[str, ...]]:
-    names = _columns(standing)[4:]
+def _worlds_table(standing: Leaderboard) -> Table:
+    names = [RANDOM, *(row.name for row in standing.entries if row.name != RANDOM)]
+    rows = []
     for played in standing.worlds:
-        optimum = "" if played.optimum is None else in_percent(played.optimum / played.cells, 2)
-        bound = ceiled(played.bound / played.cells, unit="")
-        yield played.name, f"{played.cells:,}", bound, optimum, *(_half(played.coverage(name), 100) for name in names)
+        bound, best = played.limits.values()
+        limits = ceiled(bound, unit=""), "" if best is None else in_percent(best, 2)
+        covered = [_half(played.coverage(name), 100) for name in names]
+        rows.append([played.name, f"{played.cells:,}", *limits, *covered])
+    return _table(("world", "cells", "bound", "optimum", *names), rows)
 
 
-def _table(columns: tuple[str, ...], rows: Iterator[tuple[str, ...]]) -> Table:
+def _table(columns: Iterable[str], rows: Iterable[Iterable[object]]) -> Table:
     table = make_table(columns, left=("", "world"), padding=(0, 1, 0, 0))
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(str, row))
     return table
 
 
-def _markdown(columns: tuple[str, ...], rows: Iterator[tuple[str, ...]]) -> Iterator[str]:
-    yield f"| {' | '.join(columns)} |"
-    yield "|" + "|".join("---" if name in ("", "world") else "---:" for name in columns) + "|"
-    for row in rows:
-        yield f"| {' | '.join(row)} |"
+def _markdown(table: Table) -> Iterator[str]:
+    names = [str(column.header) for column in table.columns]
+    sides = ["---" if column.justify == "left" else "---:" for column in table.columns]
+    yield from (f"| {' | '.join(names)} |", f"|{'|'.join(sides)}|")
+    for row in zip(*(column.cells for column in table.columns), strict=True):
+        yield f"| {' | '.join(map(str, row))} |"
 
 
 CSV = ("world", "robots", "cells", "bound", "optimum", "entry", "visited", "low", "high", "lost")
@@ -576,29 +566,23 @@ CSV = ("world", "robots", "cells", "bound", "optimum", "entry", "visited", "low"
 def _lines(standing: Leaderboard) -> Iterator[tuple[object, ...]]:
     """Rows of the CSV file: fractions of the accessible cells, and of the team."""
     for played in standing.worlds:
-        for name in played.rolled:
-            found = played.coverage(name)
-            assert found is not None
-            best = "" if played.optimum is None else played.optimum / played.cells
-            of = (played.name, played.robots, played.cells, played.bound / played.cells, best)
-            yield *of, name, found.mean, *found.ci95, played.lost(name)
+        bound, best = played.limits.values()
+        for name, found in _entries(played).items():
+            covered = found["coverage"]
+            of = (played.name, played.robots, played.cells, bound, "" if best is None else best)
+            yield *of, name, covered.mean, *covered.ci95, found["lost"]
 
 
-def _world_json(played: WorldResults) -> Json:
-    entries = {name: {"coverage": played.coverage(name), "lost": played.lost(name)} for name in played.rolled}
-    best = None if played.optimum is None else played.optimum / played.cells
-    bound = played.bound / played.cells
-    return {"robots": played.robots, "accessible": played.cells, "bound": bound, "optimum": best, "entries": entries}
+def _entries(played: WorldResults) -> Json:
+    return {name: {"coverage": played.coverage(name), "lost": played.lost(name)} for name in played.rolled}
 
 
 def _json(standing: Leaderboard) -> Json:
     """Coverage, bound and optimum: fractions of the accessible cells; lost: of the team."""
-    return {
-        "answer": headline(standing),
-        "rollouts": standing.rollouts,
-        "seed": standing.seed,
-        "entries": {row.name: {key: value for key, value in vars(row).items() if key != "name"}
-                    for row in standing.entries},
-        "worlds": {played.name: _world_json(played) for played in standing.worlds},
-        **json_end(standing),
-    }  # fmt: skip
+    entries = {row.name: {key: value for key, value in vars(row).items() if key != "name"} for row in standing.entries}
+    worlds = {
+        played.name: {"robots": played.robots, "accessible": played.cells, **played.limits, "entries": _entries(played)}
+        for played in standing.worlds
+    }
+    said = {"answer": headline(standing), "rollouts": standing.rollouts, "seed": standing.seed}
+    return {**said, "entries": entries, "worlds": worlds, **json_end(standing)}

@@ -186,11 +186,12 @@ def report(judged: PolicyEvaluation) -> Report:
     robots = len(judged.starts)
     score = [] if judged.score is None else [KeyFigure(judged.score.columns(100.0)[0] + " %", "score")]
     table = make_table(("", "visited, %", "from .. to", "lost", "policy ahead, points"))
-    table.add_row("the policy", *judged.coverage.columns(100.0, 100), judged.losses.columns()[0], "")
-    for name, plan in judged.plans.items():
-        ahead = plan.ahead.describe(100)
-        table.add_row(name, *plan.coverage.columns(100.0, 100), plan.losses.columns()[0], ahead)
-    table.add_row(judged.walk, *judged.random.columns(100.0, 100), "", "")
+    rows = {"the policy": (judged.coverage, judged.losses.columns()[0], "")}
+    rows |= {
+        name: (one.coverage, one.losses.columns()[0], one.ahead.describe(100)) for name, one in judged.plans.items()
+    }
+    for name, (covered, *others) in (rows | {judged.walk: (judged.random, "", "")}).items():
+        table.add_row(name, *covered.columns(100.0, 100), *others)
     table.add_row("upper bound", ceiled(judged.bound, unit=""), "certified", "", "")
     score_is = f"score: (policy - {judged.walk}) / (bound - {judged.walk})"
     note = f"{score_is}; all with common random numbers and the same last step"
@@ -216,23 +217,9 @@ def headline(judged: PolicyEvaluation) -> str:
 
 def _json(judged: PolicyEvaluation) -> Json:
     """Coverage: fractions of the accessible cells."""
+    rolled = {"rollouts": judged.choices.rollouts, "seed": judged.choices.seed, "max_steps": judged.max_steps}
+    found = {name: getattr(judged, name) for name in ("coverage", "losses", "steps", "random", "bound", "score")}
     return {
-        "answer": headline(judged),
-        "robots": len(judged.starts),
-        "starts": judged.starts,
-        "accessible": judged.cells,
-        "rollouts": judged.choices.rollouts,
-        "seed": judged.choices.seed,
-        "max_steps": judged.max_steps,
-        "coverage": judged.coverage,
-        "losses": judged.losses,
-        "steps": judged.steps,
-        "random": judged.random,
-        "bound": judged.bound,
-        "score": judged.score,
-        "plans": {
-            name: {"coverage": plan.coverage, "losses": plan.losses, "ahead": plan.ahead}
-            for name, plan in judged.plans.items()
-        },
-        **json_end(judged),
-    }
+        "answer": headline(judged), "robots": len(judged.starts), "starts": judged.starts, "accessible": judged.cells,
+        **rolled, **found, "plans": {name: vars(plan) for name, plan in judged.plans.items()}, **json_end(judged),
+    }  # fmt: skip

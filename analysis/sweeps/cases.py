@@ -142,7 +142,11 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Team:
-    """A case ready for planning. `starts`: int64 `[K, 2]`; `plan`: from a file, else None."""
+    """A case ready for planning; teams are equal if their plans have equal inputs.
+
+    Attributes:
+        starts: int64 `[K, 2]`. plan: from a file, else None.
+    """
 
     world: World
     starts: NDArray[np.int64]
@@ -159,6 +163,12 @@ class Team:
             "plan": names_of_0_3(self.settings.to_json()) if self.plan is None else _plan_hash(self.plan),
         }
         return hashlib.sha256(canonical(said).encode()).hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Team) and self.identity == other.identity
+
+    def __hash__(self) -> int:
+        return hash(self.identity)
 
     def build(self) -> Plan:
         """The plan. Raises InputError."""
@@ -348,7 +358,7 @@ def run_task(task: Task) -> list[RunResult]:
     """Plan once, compute the tables once, and simulate every model's ids on one thread. Raises InputError."""
     try:
         closed = any(wanted.model.loop == "closed" for wanted in task.wanted)
-        loops = _prepared(_Same(task.team.identity, task.team), closed)
+        loops = _prepared(task.team, closed)
         return [_tasks_run(wanted, task, loops) for wanted in task.wanted]
     except InputError as error:
         raise naming(error, task.case.name) from error
@@ -391,7 +401,7 @@ class _Loops:
 
             # Teams that differ only in these settings share the allocation.
             alike = replace(team, settings=replace(team.settings, **ONCE_UNDER_WAY))
-            problem, begun = _allocated(_Same(alike.identity, alike))
+            problem, begun = _allocated(alike)
             own = problem if team.settings == alike.settings else None
             begun = replace(begun, settings=team.settings)
             self._closed = self._compiled(begun, own)
@@ -426,26 +436,18 @@ class _Loops:
         return compile_closed_loop(plan, self._team.world, kept=kept, problem=problem)
 
 
-@dataclass(frozen=True)
-class _Same:
-    """A team that equals another of the same content."""
-
-    identity: str
-    team: Team = field(compare=False)
-
-
 @lru_cache(maxsize=1)
-def _prepared(what: _Same, closed: bool) -> _Loops:
+def _prepared(team: Team, closed: bool) -> _Loops:
     """Plan, facts and tables. The last team's are cached, for a run that is split into several tasks."""
-    return _Loops(what.team, closed)
+    return _Loops(team, closed)
 
 
 @lru_cache(maxsize=1)
-def _allocated(what: _Same) -> tuple[Problem, Plan]:
+def _allocated(team: Team) -> tuple[Problem, Plan]:
     """The plan before its nominal run. The last one is cached, for other settings of a team on the same map."""
     from planner.make_plan import allocated
 
-    kept, team = _of_world(what.team.world.sha256), what.team
+    kept = _of_world(team.world.sha256)
     kept.problem, plan = allocated(team.world, team.starts, team.settings, before=kept.problem)
     return kept.problem, plan
 

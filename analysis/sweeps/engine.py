@@ -37,6 +37,7 @@ from analysis.sweeps.store_files import cut
 from analysis.utils.pool import Pool, wanted_processes
 from planner.arguments import BLOCK, MOST_ROLLOUTS
 from planner.errors import UsageError
+from planner.files import Json
 from planner.formatting import counted
 from planner.world.scenario_features import BEFORE, NOW, RELEASES
 
@@ -100,6 +101,10 @@ class Finished:
     seconds: float
     partial: bool = False
     earlier: int = 0
+
+    def to_json(self) -> Json:
+        """Its keys in JSON objects."""
+        return {"seconds": self.seconds, "rollouts_run": self.rollouts, "rollouts_reused": self.reused}
 
     @property
     def description(self) -> str:

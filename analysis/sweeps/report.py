@@ -233,23 +233,18 @@ def row_json(row: Row) -> Json:
 
 def sweep_json(sweep: Sweep) -> Json:
     """The settings of the sweep, the rows, and the numbers of simulated and reused rollouts."""
-    spec, finished = sweep.spec, sweep.finished
+    spec = sweep.spec
+    asked = {"spec": str(spec.source), "maps": spec.maps, "first_seed": None if spec.maps is None else spec.first_seed}
+    found = {name: getattr(sweep, name) for name in ("precision", "widest", "within_share", "partial")}
     return {
-        "spec": str(spec.source),
-        "maps": spec.maps,
-        "first_seed": None if spec.maps is None else spec.first_seed,
+        **asked,
         "rollouts": spec.rollouts,
         "seed": spec.base["seed"],
         "settings": [row_json(row) for row in sweep.rows],
-        "rollouts_run": finished.rollouts,
-        "rollouts_reused": finished.reused,
-        "seconds": finished.seconds,
-        "precision": sweep.precision,
+        **sweep.finished.to_json(),
+        **found,
         "precision_reached": sweep.reached if sweep.precision is not None else None,
-        "widest": sweep.widest,
-        "within_share": sweep.within_share,
         "notes": notes_of(sweep),
-        "partial": sweep.partial,
         "version": version("mrac-jax"),
     }
 

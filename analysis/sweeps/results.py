@@ -558,44 +558,31 @@ def _order(value: Label) -> tuple[int, float, str]:
 BATCH = 1000
 WHOLE, LARGE, NUMBER, TEXT = range(4)
 """Kinds of columns, narrowest first."""
-OUTCOMES = tuple(outcome.word for outcome in Outcome)
-COUNTS = ("rollouts", *OUTCOMES, "height", "width", "accessible", "free", "dangerous", "makespan")
-NUMBERS = (
-    *(f"{name}_{part}" for name in FIGURES for part in ("mean", "se")),
-    "open_loop_exact_visited",
-    "open_loop_exact_survived",
-    "open_loop_exact_time",
-    "ideal_team",
-)
-TEXTS = ("key", "world", "ids")
 
 
-def flat(run: Run, labels: list[str]) -> Json:
-    """A run as one row: labels first; coverage as fractions, time in steps."""
-    assert run.sums is not None
-    cells = run.facts["cells"]
+def flat(run: Run, labels: Iterable[str]) -> Json:
+    """A run as one row: labels, counts, figures, texts; coverage as fractions, time in steps."""
+    facts, cells, ideal = run.facts, run.facts["cells"], run.facts["ideal_team"]
     row: Json = {name: run.what.get(name) for name in labels}
     row |= {"rollouts": run.rollouts} | outcomes_of(run)
-    row |= {"height": run.facts["shape"][0], "width": run.facts["shape"][1], "makespan": run.facts["makespan"]}
-    row |= {name: cells[name] for name in ("accessible", "free", "dangerous")}
+    row |= {"height": facts["shape"][0], "width": facts["shape"][1]}
+    row |= {name: cells[name] for name in ("accessible", "free", "dangerous")} | {"makespan": facts["makespan"]}
     means, errors = figures_of(run)
-    for name in FIGURES:
-        row[f"{name}_mean"] = float(means[KEPT[name], 0])
-        row[f"{name}_se"] = math.sqrt(errors[KEPT[name], 0, 0])
-    for name in ("visited", "survived", "time"):
-        row[f"open_loop_exact_{name}"] = exact_of(run, name)
-    ideal = run.facts["ideal_team"]
+    for name, place in list(KEPT.items())[: len(FIGURES)]:
+        row |= {f"{name}_mean": float(means[place, 0]), f"{name}_se": math.sqrt(errors[place, 0, 0])}
+    row |= {f"open_loop_exact_{name}": exact_of(run, name) for name in ("visited", "survived", "time")}
     row["ideal_team"] = None if ideal is None else ideal / cells["accessible"]
-    return row | {"key": run.key, "world": run.facts["world"], "ids": str([list(pair) for pair in run.ids])}
+    return row | {"key": run.key, "world": facts["world"], "ids": str([list(pair) for pair in run.ids])}
 
 
 def write_csv(store: Store, where: Where, path: Path) -> None:
     """Write the runs that fit as CSV, completely or not at all. Raises InputError."""
-    labels = list(labels_of(store, where))
+    labels = labels_of(store, where)
+    rows = (flat(run, labels) for run in select(store, where))
     with atomic_write(path) as out:
-        writer = csv.DictWriter(out, [*labels, *COUNTS, *NUMBERS, *TEXTS], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(flat(run, labels) for run in select(store, where))
+        writer = csv.writer(out, lineterminator="\n")
+        for number, row in enumerate(rows):
+            writer.writerows([row.values()] if number else [row.keys(), row.values()])
 
 
 def write_parquet(store: Store, where: Where, path: Path) -> None:
@@ -604,19 +591,17 @@ def write_parquet(store: Store, where: Where, path: Path) -> None:
         import pyarrow
         from pyarrow import parquet
     except ImportError:
-        raise UsageError(
-            f"{argument('parquet')} needs pyarrow, which is not installed",
-            fix=f'pip install "mrac-jax[parquet]", or use {argument("csv")}',
-        ) from None
+        problem = f"{argument('parquet')} needs pyarrow, which is not installed"
+        raise UsageError(problem, fix=f'pip install "mrac-jax[parquet]", or use {argument("csv")}') from None
     types = (pyarrow.int64(), pyarrow.uint64(), pyarrow.float64(), pyarrow.string())
-    kinds = _label_kinds(store, where)
-    columns = kinds | dict.fromkeys(COUNTS, WHOLE) | dict.fromkeys(NUMBERS, NUMBER) | dict.fromkeys(TEXTS, TEXT)
-    schema = pyarrow.schema([(name, types[kind]) for name, kind in columns.items()])
+    labels = _label_kinds(store, where)
+    kinds = {name: _kind(0.0 if one is None else one) for name, one in flat(next(select(store, where)), ()).items()}
+    schema = pyarrow.schema([(name, types[kind]) for name, kind in (labels | kinds).items()])
     cast: dict[int, Callable[[Any], Any]] = {NUMBER: float, TEXT: str}
-    rows = (flat(run, list(kinds)) for run in select(store, where))
+    rows = (flat(run, labels) for run in select(store, where))
     with atomic_write(path, "wb") as out, parquet.ParquetWriter(out, schema) as writer:
         while batch := list(islice(rows, BATCH)):
-            for row, (name, kind) in product(batch, kinds.items()):
+            for row, (name, kind) in product(batch, labels.items()):
                 if row[name] is not None and kind in cast:
                     row[name] = cast[kind](row[name])
             writer.write_table(pyarrow.Table.from_pylist(batch, schema=schema))
