@@ -24,8 +24,7 @@ from planner.errors import MapError, UsageError
 from planner.files import Json, atomic_write, check_new, printable
 from planner.formatting import SPEEDS
 from planner.plan.plan import DECIMALS, Plan, headings, last_move, waypoints_csv
-from planner.simulator.codes import NO_CELL
-from planner.world.grid import TURN, Frame, Georeference, near, principal, rasterio_for
+from planner.world.grid import TURN, Frame, Georeference, near, principal
 from planner.world.raster_bands import affine
 from planner.world.world import World
 
@@ -196,140 +195,37 @@ def cut_area(rings: list[Ring]) -> list[list[Ring]]:
 
     Outer rings are counterclockwise and holes clockwise, before and after.
     """
+    import shapely
+
     low, high = min(ring[:, 0].min() for ring in rings), max(ring[:, 0].max() for ring in rings)
     first, last = math.floor((low + HALF) / TURN), math.ceil((high + HALF) / TURN) - 1
     if last <= first:
         return [[ring - (first * TURN, 0) for ring in rings]]
-    parts: list[list[Ring]] = []
+    area, parts = shapely.make_valid(shapely.Polygon(rings[0], rings[1:])), []
     for turn in range(first, last + 1):
-        kept = rings
-        if turn > first:
-            kept = _mirrored(_west_of(_mirrored(kept), HALF - turn * TURN))
-        if turn < last:
-            kept = _west_of(kept, turn * TURN + HALF)
-        parts += _with_holes([ring - (turn * TURN, 0) for ring in kept])
+        west, east = turn * TURN - HALF, turn * TURN + HALF
+        held = shapely.get_parts(shapely.orient_polygons(area & shapely.box(west, -90, east, 90)))
+        for part in (part for part in held if part.geom_type == "Polygon"):
+            corners = [
+                np.clip(shapely.get_coordinates(ring), (west, -90), (east, 90)) for ring in shapely.get_rings(part)
+            ]
+            parts.append([ring - (turn * TURN, 0) for ring in corners])
     return parts
 
 
-def _mirrored(rings: list[Ring]) -> list[Ring]:
-    """Mirrored at longitude 0, with corners in reverse order so that the inside stays on the left."""
-    return [ring[::-1] * (-1, 1) for ring in rings]
+def outlines(areas: list[NDArray[np.int64]], shape: tuple[int, int]) -> list[list[NDArray[np.int64]]]:
+    """Closed rings (row, col) `[points, 2]` of cell corners around 4-connected areas, each outer ring first.
 
-
-def _west_of(rings: list[Ring], seam: float) -> list[Ring]:
-    """The part of a polygon west of a longitude, as rings of the same orientation.
-
-    The rings' western stretches are joined along the seam: sorted from south to north, the first stretch that leaves
-    the west is joined to the first that enters it, and so on. The two alternate because the inside is on the left.
-    """
-    whole: list[Ring] = []
-    chains: list[list[NDArray[np.float64]]] = []
-    for ring in rings:
-        corners = ring[:-1]
-        west = corners[:, 0] < seam
-        if west.all() or not west.any():
-            whole += [ring] if west.all() else []
-            continue
-        # Start each ring where it enters the west, so that no stretch is split.
-        first = int(np.flatnonzero(west & ~np.roll(west, 1))[0])
-        corners, west = np.roll(corners, -first, axis=0), np.roll(west, -first)
-        for at in np.flatnonzero(west):
-            if not west[at - 1]:
-                chains.append([_crossing(corners[at - 1], corners[at], seam)])
-            chains[-1].append(corners[at])
-            after = (at + 1) % len(corners)
-            if not west[after]:
-                chains[-1].append(_crossing(corners[at], corners[after], seam))
-    leaves, enters = (sorted(range(len(chains)), key=lambda n: float(chains[n][side][1])) for side in (-1, 0))
-    onward = dict(zip(leaves, enters, strict=True))
-    while onward:
-        points: list[NDArray[np.float64]] = []
-        number = next(iter(onward))
-        while number in onward:
-            points += chains[number]
-            number = onward.pop(number)
-        whole.append(np.array([*points, points[0]]))
-    return whole
-
-
-def _with_holes(rings: list[Ring]) -> list[list[Ring]]:
-    """Outer rings, each with its holes; rings of zero area are dropped."""
-    sizes = [_signed_area(ring) for ring in rings]
-    outer = [[ring] for ring, size in zip(rings, sizes, strict=True) if size > 0]
-    for ring, size in zip(rings, sizes, strict=True):
-        if size < 0:
-            # The middle of an edge cannot be a corner of the outer ring.
-            middle = (ring[0] + ring[1]) / 2
-            next((part for part in outer if _holds(part[0], middle)), outer[0]).append(ring)
-    return outer
-
-
-def _signed_area(ring: Ring) -> float:
-    """Signed area; positive for counterclockwise rings."""
-    x, y = (ring - ring[0]).T
-    return float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum()) / 2
-
-
-def _holds(ring: Ring, place: NDArray[np.float64]) -> bool:
-    """True if the place lies within the ring (even-odd rule)."""
-    (x0, y0), (x1, y1) = ring[:-1].T, ring[1:].T
-    crosses = (y0 > place[1]) != (y1 > place[1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = x0 + (place[1] - y0) * (x1 - x0) / (y1 - y0)
-    return bool(np.count_nonzero(crosses & (at > place[0])) % 2)
-
-
-# The outline of an area of cells: one outer ring and its holes.
-
-Corner = tuple[int, int]
-
-
-def outline(cells: NDArray[np.int64], width: int) -> list[list[Corner]]:
-    """Closed rings (row, col) of cell corners around a 4-connected area; the outer ring first, then the holes.
-
-    Seen with row 0 at the top, the outer ring is counterclockwise and holes are clockwise (RFC 7946, section 3.1.6).
+    Seen with row 0 at the top, outer rings are counterclockwise and holes are clockwise (RFC 7946, section 3.1.6).
     Rings are simple: where two cells meet only in a corner, the outline turns to the other cell.
     """
-    ahead = _edges(cells, width)
-    rings: list[list[Corner]] = []
-    while ahead:
-        at = min(ahead)
-        ring, step = [at], (0, 0)
-        while True:
-            row, col = at
-            left = [(-step[1], step[0]), step, (step[1], -step[0])]
-            # At a corner that two cells share, turn right to keep the ring simple.
-            turns = left[::-1] if len(ahead[at]) > 1 else ahead[at]
-            new = next(turn for turn in turns if turn in ahead[at])
-            ahead[at].remove(new)
-            if not ahead[at]:
-                del ahead[at]
-            if new == step:
-                ring.pop()
-            at, step = (row + new[0], col + new[1]), new
-            ring.append(at)
-            if at == ring[0]:
-                break
-        rings.append(ring)
-    return sorted(rings, key=min)
+    from rasterio.features import shapes
 
-
-def _edges(cells: NDArray[np.int64], width: int) -> dict[Corner, list[Corner]]:
-    """For every corner, the steps (row, col) of the outline that leave it: the area is on the left."""
-    held = set(cells.tolist())
-    ahead: dict[Corner, list[Corner]] = {}
-    for cell in held:
-        row, col = divmod(cell, width)
-        sides = (
-            (cell - width, (row, col + 1), (0, -1)),
-            (cell - 1 if col else NO_CELL, (row, col), (1, 0)),
-            (cell + width, (row + 1, col), (0, 1)),
-            (cell + 1 if col + 1 < width else NO_CELL, (row + 1, col + 1), (-1, 0)),
-        )
-        for neighbour, corner, step in sides:
-            if neighbour not in held:
-                ahead.setdefault(corner, []).append(step)
-    return ahead
+    labels = np.zeros(shape, dtype=np.int32)
+    for number, cells in enumerate(areas, start=1):
+        labels.reshape(-1)[cells] = number
+    rings = {int(label): outline["coordinates"] for outline, label in shapes(labels, labels > 0, connectivity=4)}
+    return [[np.array(ring, dtype=np.int64)[:, ::-1] for ring in rings[n]] for n in range(1, len(areas) + 1)]
 
 
 # Paths and areas with their probabilities as GeoJSON (RFC 7946: longitude and latitude, WGS 84).
@@ -369,9 +265,9 @@ def _areas(mission: Mission) -> Iterator[Feature]:
     loop `covered` (mean probability that its cells are visited) and `losses` (expected robots lost in it). None: no
     exact value. `believed_threat`: of the prior map, if the team does not know the true map.
     """
-    world, width = mission.world, mission.world.shape[1]
-    threat = world.threat.ravel()
-    for number, area in enumerate(mission.plan.areas):
+    world, areas = mission.world, mission.plan.areas
+    threat, borders = world.threat.ravel(), outlines([area.cells for area in areas], world.shape)
+    for number, area in enumerate(areas):
         facts = {
             "area": number,
             "level": area.level,
@@ -381,7 +277,7 @@ def _areas(mission: Mission) -> Iterator[Feature]:
             "covered": _rounded(mission.exact.visited_by_cell[area.cells].mean()),
             "losses": _rounded(mission.exact.stops_by_cell[area.cells].sum()),
         }
-        rings = [mission.on_earth(world.at(*np.array(ring).T)) for ring in outline(area.cells, width)]
+        rings = [mission.on_earth(world.at(*ring.T)) for ring in borders[number]]
         if any(over_a_pole(ring) for ring in rings):
             problem = f"area {number} lies over a pole, and cannot be written in longitude and latitude"
             fix = "export .tif or .csv, in the map's metres, or .gpx, which holds no areas"
@@ -440,7 +336,7 @@ BANDS = {
 
 
 def geotiff(mission: Mission) -> bytes:
-    """The bands BANDS without those that have no value in any cell. Raises MapError without rasterio.
+    """The bands BANDS without those that have no value in any cell.
 
     If the team does not know the true map: `believed_threat` and `believed_residual`, of the prior map.
     """
@@ -458,9 +354,11 @@ def geotiff(mission: Mission) -> bytes:
 def raster(world: World, names: Mapping[str, str], bands: NDArray[np.float64]) -> bytes:
     """Bands `[B, H, W]` as float32, NaN on obstacles; `names`: name and description of each.
 
-    A map without georeference has no CRS. Raises MapError without rasterio.
+    A map without georeference has no CRS.
     """
-    rasterio, shape, bands = rasterio_for("a GeoTIFF", world.source), world.shape, np.where(world.free, bands, np.nan)
+    import rasterio
+
+    shape, bands = world.shape, np.where(world.free, bands, np.nan)
     frame, place = Frame(shape, world.cell_size, world.origin), world.georeference or Georeference("")
     height, width = shape
     with (

@@ -327,8 +327,6 @@ def check_size(path: Path, most_bytes: int, error: type[InputError], expected: s
 
 MAX_CSV_BYTES = 2**26
 """Largest grid of numbers that is read (64 MiB); larger ones are faster as arrays."""
-CSV_BATCH = 2**20
-"""Characters read at a time, so that an invalid value is reported early."""
 SAMPLE = 64
 """Lines at the top of a grid that determine its separator."""
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "spaces"}
@@ -443,6 +441,15 @@ def signs_of(rows: Sequence[tuple[int, Sequence[str]]]) -> list[Sign]:
     return [sign_of([(line, row[at]) for line, row in rows], sure) for at in range(len(rows[0][1]))]
 
 
+def _lines(path: Path, holds: str) -> list[str]:
+    """The lines of a text file, the first one empty if it is the `sep=;` of spreadsheet programs. Raises MapError."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            return _without_sep(stream.readlines())
+    except (OSError, UnicodeDecodeError) as error:
+        raise MapError(f"cannot be read as text ({error})", source=path, expected=holds) from error
+
+
 def read_rows(path: Path, holds: str) -> tuple[str, list[tuple[int, list[str]]]]:
     """(separator, non-empty rows with their line numbers) of a text table.
 
@@ -453,14 +460,13 @@ def read_rows(path: Path, holds: str) -> tuple[str, list[tuple[int, list[str]]]]
     Raises:
         MapError: it cannot be read.
     """
+    lines = _lines(path, holds)
+    separator = separator_of(lines, path)
+    reader = csv.reader(lines, delimiter=separator)
+    rows = enumerate(map(str.split, lines), start=1) if separator == " " else ((reader.line_num, r) for r in reader)
     try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            lines = _without_sep(stream.readlines())
-        separator = separator_of(lines, path)
-        reader = csv.reader(lines, delimiter=separator)
-        rows = enumerate(map(str.split, lines), start=1) if separator == " " else ((reader.line_num, r) for r in reader)
         return separator, [(line, row) for line, row in rows if any(field.strip() for field in row)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except csv.Error as error:
         raise MapError(f"cannot be read as text ({error})", source=path, expected=holds) from error
 
 
@@ -493,64 +499,39 @@ def read_csv_grid(path: Path, most_cells: int) -> tuple[NDArray[np.float64], tup
     """
     holds = "rows of numbers without a header"
     check_size(path, MAX_CSV_BYTES, MapError, holds, "save it as .npz or .npy, or coarsen the map")
-    blocks: list[NDArray[np.float64]] = []
-    number = cells = 0
-    separator = decimal = ""
-    try:
-        with path.open(encoding="utf-8-sig") as stream:
-            while lines := stream.readlines(CSV_BATCH):
-                lines = lines if number else _without_sep(lines)
-                if not blocks and not any(map(str.strip, lines)):
-                    number += len(lines)
-                    continue
-                separator = separator or separator_of(lines[: 2 * SAMPLE], path)
-                plain, found = _with_points(lines, separator, number, path)
-                if decimal and found and decimal != found:
-                    problem = f"decimal {SIGNS[decimal]} up to line {number}, decimal {SIGNS[found]} below"
-                    raise MapError(problem, source=path, expected="one decimal sign")
-                decimal = decimal or found
-                block = _csv_block(path, number, plain, blocks[0].shape[1] if blocks else None, separator)
-                number, cells = number + len(lines), cells + block.size
-                if cells > most_cells:
-                    raise MapError(f"more than {most_cells} cells", source=path, fix="coarsen the map")
-                blocks += [block] if block.size else []
-    except (OSError, UnicodeDecodeError) as error:
-        raise MapError(f"cannot be read as text ({error})", source=path, expected=holds) from error
-    if not blocks:
+    rows = [(number, line) for number, line in enumerate(_lines(path, holds), start=1) if line.strip()]
+    if not rows:
         raise MapError("is empty", source=path, expected=holds)
-    return np.concatenate(blocks), layout_note(separator, decimal or ".")
+    separator = separator_of([line for _, line in rows[: 2 * SAMPLE]], path)
+    decimal = _decimal(rows, separator, path)
+    if decimal == ",":
+        rows = [(number, line.replace(",", ".")) for number, line in rows]
+    delimiter = None if separator == " " else separator
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            values = np.loadtxt([line for _, line in rows], delimiter=delimiter, comments=None, ndmin=2)
+    except ValueError:  # an invalid line, or loadtxt is too strict: line by line
+        width = len(rows[0][1].split(delimiter))
+        values = np.array([_csv_row(path, number, line, width, delimiter) for number, line in rows])
+    if values.size > most_cells:
+        raise MapError(f"more than {most_cells} cells", source=path, fix="coarsen the map")
+    return values, layout_note(separator, decimal)
 
 
-def _with_points(lines: list[str], separator: str, before: int, path: Path) -> tuple[list[str], str]:
-    """Lines of a grid with decimal points, and the sign they had, "" if none. Raises MapError if ambiguous."""
-    if separator == "," or not any("," in line for line in lines):
-        return lines, "." if separator != "," and any("." in line for line in lines) else ""
-    fields = ((n, field.strip()) for n, line in enumerate(lines, before + 1) for field in line.split(separator))
+def _decimal(rows: Fields, separator: str, path: Path) -> str:
+    """The decimal sign of a grid. Raises MapError if it is ambiguous."""
+    if separator == "," or not any("," in line for _, line in rows):
+        return "."
+    fields = ((number, field.strip()) for number, line in rows for field in line.split(separator))
     sure = any("," in field and not GROUPED.fullmatch(field) for _, field in fields)  # up to the first one
-    if not sure or any("." in line for line in lines):
-        rows = enumerate(lines, before + 1)
-        problem = sign_of([(n, field) for n, line in rows for field in line.split(separator)]).problem
+    if not sure or any("." in line for _, line in rows):
+        problem = sign_of([(number, field) for number, line in rows for field in line.split(separator)]).problem
         if problem:
             raise MapError(problem, source=path, expected="decimal points, or decimal commas")
-    return [line.replace(",", ".") for line in lines], ","
+    return ","
 
 
-def _csv_block(path: Path, before: int, lines: list[str], width: int | None, separator: str) -> NDArray[np.float64]:
-    """The numbers in `lines`, with `before` lines above them, float64 `[rows, width]`; empty lines are skipped."""
-    delimiter = None if separator == " " else separator
-    with suppress(ValueError), warnings.catch_warnings(action="ignore"):
-        block = np.loadtxt(lines, delimiter=delimiter, comments=None, ndmin=2)
-        if width in (None, block.shape[1]):
-            return block
-    rows: list[list[float]] = []  # an invalid line, or loadtxt is too strict: line by line
-    for number, line in enumerate(lines, start=before + 1):
-        if line.strip():
-            rows.append(_csv_row(path, number, line, width, delimiter))
-            width = len(rows[0])
-    return np.array(rows, dtype=np.float64)
-
-
-def _csv_row(path: Path, number: int, line: str, width: int | None, delimiter: str | None) -> list[float]:
+def _csv_row(path: Path, number: int, line: str, width: int, delimiter: str | None) -> list[float]:
     values = []
     for column, text in enumerate(field.strip() for field in line.rstrip("\r\n").split(delimiter)):
         try:
@@ -559,7 +540,7 @@ def _csv_row(path: Path, number: int, line: str, width: int | None, delimiter: s
             problem = f"line {number}, column {column}: {text[:40]!r} is no number"
             expected = f"numbers without a header, separated by {SEPARATORS[delimiter or ' ']}"
             raise MapError(problem, source=path, expected=expected) from None
-    if width not in (None, len(values)):
+    if width != len(values):
         problem, fix = f"line {number} has {len(values)} values", DECIMAL_COMMAS if delimiter == "," else ""
         raise MapError(problem, source=path, expected=f"{width} as above", fix=fix)
     return values

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import rasterio
 import yaml
 from helpers import error_of
 from matplotlib.path import Path as Outline
@@ -21,13 +22,12 @@ from rasterio.features import rasterize
 import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.cli.missions import WAYS
-from analysis.exporting import FORMATS, cut_area, cut_line, outline, straight_runs
+from analysis.exporting import FORMATS, cut_area, cut_line, outlines, straight_runs
 from planner.errors import InputError, MapError, PlanError, UsageError
 from planner.plan.plan import Plan, RobotPlan
 from planner.world.grid import Georeference
 from planner.world.world import World
 
-rasterio = pytest.importorskip("rasterio")
 KML, GPX = "{http://www.opengis.net/kml/2.2}", "{http://www.topografix.com/GPX/1/1}"
 PLACES = {
     "utm": (Georeference("EPSG:32633"), (500_000.0, 5_761_038.0, 0.3)),
@@ -250,7 +250,7 @@ def test_areas_with_holes_cut_at_random(seed: int) -> None:
         labels = world.components
         cells = np.flatnonzero(labels.ravel() == np.bincount(labels[labels > 0]).argmax())
         turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
-        rings = [np.array(ring)[:, ::-1] * (1.0, -1.0) @ turn + (180 - offset, 0) for ring in outline(cells, 11)]
+        rings = [ring[:, ::-1] * (1.0, -1.0) @ turn + (180 - offset, 0) for ring in outlines([cells], (9, 11))[0]]
         parts = cut_area(rings)
         places = rng.uniform((180 - offset - 6, -12), (180 - offset + 14, 8), (400, 2))
         moved = places - np.where(places[:, :1] > 180, (360.0, 0.0), 0.0)
@@ -279,8 +279,8 @@ def test_outlines_enclose_the_cells_and_touch_themselves_nowhere(seed: int) -> N
     world = World.create(np.where(rng.random((9, 11)) < 0.35, np.nan, 0.0))
     labels = world.components
     cells = np.flatnonzero(labels.ravel() == np.bincount(labels[labels > 0]).argmax())
-    rings = outline(cells, 11)
-    corners = [[(col, row) for row, col in ring] for ring in rings]
+    (rings,) = outlines([cells], (9, 11))
+    corners = [[(col, row) for row, col in ring.tolist()] for ring in rings]
     burnt = rasterize([{"type": "Polygon", "coordinates": corners}], out_shape=(9, 11), fill=0)
     assert np.flatnonzero(burnt).tolist() == cells.tolist()
     for number, ring in enumerate(corners):

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyproj
 import pytest
 import yaml
 from numpy.typing import NDArray
+from test_geo import polygon, write
 
 import mrac_jax as mrac
 from planner.errors import InputError
@@ -108,15 +110,12 @@ def test_a_field_in_degrees_lies_where_it_came_from(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["shp", "gpkg", "geojson"])
 def test_a_field_in_a_crs_of_metres(tmp_path: Path, kind: str) -> None:
     """It lies on its own coordinates, and pyproj agrees with where that is on the Earth."""
-    pytest.importorskip("rasterio")
-    pyproj = pytest.importorskip("pyproj")
     ring = [[x + 500_000, y + 5_200_000] for x, y in L_SHAPE]
     path = tmp_path / f"f.{kind}"
     if kind == "geojson":
         geojson(path, [ring], crs=CROSS)
     else:
-        vectors = pytest.importorskip("test_geo")
-        vectors.write(path, [vectors.polygon(np.array(ring))], [0.5], "EPSG:25832", geometry_type="Polygon")
+        write(path, [polygon(np.array(ring))], [0.5], "EPSG:25832", geometry_type="Polygon")
     world = load_input(path, 20)
     assert drawn(world) == ["..#", "..."] and world.origin[:2] == (500_000, 5_200_000)
     assert world.georeference is not None
@@ -167,7 +166,6 @@ def test_a_field_needs_a_size_of_cells_and_a_crs_that_is_known(tmp_path: Path) -
         load_input(path)
     with pytest.raises(InputError, match=r"`map\.polygons` has no pixels; give `cell_size:`, metres, next to `map:`"):
         scenario(tmp_path, map={"polygons": "f.geojson"})
-    pytest.importorskip("rasterio")
     for crs in ("EPSG:999999", "Mars"):
         geojson(path, [L_SHAPE], crs={"type": "name", "properties": {"name": crs}})
         with pytest.raises(InputError, match="expected a CRS that PROJ knows"):
@@ -192,7 +190,6 @@ def cut_at_180() -> list[list[list[float]]]:
 
 def test_a_field_across_longitude_180(tmp_path: Path) -> None:
     """However it is written: the same cells, none an obstacle for the cut, and their corner in -180..180."""
-    pytest.importorskip("rasterio")
     whole = load_input(geojson(tmp_path / "f.geojson", [across_180(0)]), 10)
     assert whole.free.sum() > 150 and not whole.free[:5, 6:14].any() and whole.free[7:11, 1:24].all()
     stepped = [[x if x <= 180 else x - 360, y] for x, y in across_180(0)]
@@ -227,7 +224,6 @@ def test_a_field_across_longitude_180(tmp_path: Path) -> None:
 @pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:3857"])
 def test_a_cut_at_longitude_180_that_stops_short_of_it(tmp_path: Path, crs: str) -> None:
     """1 m on either side: no wall of obstacles, and a note; fields that lie 30 or 300 m apart stay two."""
-    pytest.importorskip("rasterio")
     places = {"type": "name", "properties": {"name": crs}}
     for short, joined, said in ((1, True, True), (15, False, True), (150, False, False)):
         fields = []
@@ -244,8 +240,6 @@ def test_a_cut_at_longitude_180_that_stops_short_of_it(tmp_path: Path, crs: str)
 
 def test_metres_of_a_field_that_are_none_are_said(tmp_path: Path) -> None:
     """100 x 100 m at 60 N are 200 x 200 of Mercator's, and UTM's own metres need no note."""
-    pytest.importorskip("rasterio")
-    vectors = pytest.importorskip("test_geo")
     square = [
         [500_000, 6_651_400],
         [500_100, 6_651_400],
@@ -258,7 +252,7 @@ def test_metres_of_a_field_that_are_none_are_said(tmp_path: Path) -> None:
         files = [geojson(tmp_path / "f.geojson", [ring], crs={"type": "name", "properties": {"name": crs}})]
         for kind in ("gpkg", "shp"):
             files.append(tmp_path / f"f.{kind}")
-            vectors.write(files[-1], [vectors.polygon(np.array(ring))], [0.5], crs, geometry_type="Polygon")
+            write(files[-1], [polygon(np.array(ring))], [0.5], crs, geometry_type="Polygon")
         for path in files:
             notes = [note for note in load_input(path, 10).notes if "a metre of" in note]
             assert len(notes) == bool(words) and all(note.startswith(words) for note in notes)

@@ -14,7 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyogrio
+import pyproj
 import pytest
+import rasterio.control
+import rasterio.rpc
 import yaml
 from numpy.typing import NDArray
 from PIL import Image
@@ -29,7 +33,6 @@ from planner.world.world import World, load_world_file
 
 # Where maps lie on the Earth: kept from every kind of file to longitude and latitude, and back for shapes on them.
 
-pytest.importorskip("rasterio")
 UTM = ((10, 0, 500_000, 0, -10, 5_761_038), "EPSG:32633")
 """Its upper-left corner is 15 degrees east; 52 north, within a metre."""
 KML = (
@@ -108,8 +111,6 @@ def test_a_datum_puts_a_map_on_the_earth(tmp_path: Path) -> None:
 
 
 def test_a_ros_map_may_say_its_datum(tmp_path: Path) -> None:
-    from PIL import Image
-
     Image.fromarray(np.full((4, 6), 255, dtype=np.uint8)).save(tmp_path / "m.png")
     content = {"image": "m.png", "resolution": 0.5, "origin": [-1, -1, 0], "occupied_thresh": 0.6, "free_thresh": 0.2}
     (tmp_path / "m.yaml").write_text(yaml.safe_dump(content | {"datum": {"latitude": 52.0, "longitude": 15.0}}))
@@ -179,8 +180,6 @@ def test_polygons_in_metres_or_another_crs(tmp_path: Path) -> None:
 
 
 def test_keepout_adds_obstacles(tmp_path: Path) -> None:
-    from PIL import Image
-
     utm_map(tmp_path)
     world = load_input(tmp_path / "m.tif")
     geojson(tmp_path, ring_of(world, 3, 5, 9, 12))
@@ -423,9 +422,6 @@ def test_metres_that_would_lie_on_the_map_as_latitude_and_longitude_are_metres(t
 
 # Shapefiles and GeoPackages: the cells that their polygons hold, in any CRS, and every way to be no such file.
 
-pytest.importorskip("rasterio")
-pyogrio = pytest.importorskip("pyogrio")
-pyproj = pytest.importorskip("pyproj")
 LEFT, TOP, SIDE = 500_000.0, 5_761_038.0, 10.0
 """Of a map of 20 x 30 cells in UTM zone 33."""
 KINDS = ("shp", "gpkg")
@@ -669,7 +665,6 @@ def test_hostile_files(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 # Rasters in degrees on the metres of their UTM zone, held against pyproj, asked point by point.
 
-pytest.importorskip("rasterio")
 SHAPE = (60, 80)
 PLACES = {
     "EPSG:32632": (0.001, 10.0, 60.0),  # 56 x 111 m a pixel, and east of the zone's middle
@@ -802,10 +797,9 @@ def test_what_cannot_be_warped_is_one_line(tmp_path: Path) -> None:
 
 def placed(path: Path, values: NDArray[Any], at: Any, crs: str | None, count: int = 5, **more: Any) -> Path:
     """A GeoTIFF placed by `count` ground control points: `at(row, col)` is (x, y) in pixels from the upper left."""
-    control = pytest.importorskip("rasterio.control")
     height, width = values.shape
     spots = [(0, 0), (0, width), (height, 0), (height, width), (height / 2, width / 2)]
-    points = [control.GroundControlPoint(row, col, *at(row, col), 0.0) for row, col in spots[:count]]
+    points = [rasterio.control.GroundControlPoint(row, col, *at(row, col), 0.0) for row, col in spots[:count]]
     return tif(path, values, crs=crs, gcps=points, **more)
 
 
@@ -910,8 +904,7 @@ def test_control_points_of_a_threat_laid_over_a_map(tmp_path: Path) -> None:
 
 
 def test_places_that_are_not_read_are_refused(tmp_path: Path) -> None:
-    rasterio = pytest.importorskip("rasterio")
-    values, path = np.zeros((6, 8), np.float32), tmp_path / "a.tif"
+    rasterio = values, path = np.zeros((6, 8), np.float32), tmp_path / "a.tif"
     for count, crs, words in ((1, "EPSG:32632", "by 1 ground control point;"), (2, "EPSG:32632", "2 ground")):
         placed(path, values, lambda row, col: (col + row, 3 * col - row), crs, count)
         with pytest.raises(MapError, match=words):

@@ -436,7 +436,7 @@ def test_reading_a_large_text_file_is_announced_before_it_takes_seconds(
     large.write_text("0,0\n" * (LONG_BYTES // 4 + 1))
     read_csv_grid(small, 2**23)
     assert not caplog.messages
-    with pytest.raises(MapError, match="more than 2 cells"):  # at the first lines
+    with pytest.raises(MapError, match="more than 2 cells"):
         read_csv_grid(large, 2)
     assert caplog.messages == [f"reading {large} (8 MB), which takes a while ..."]
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import builtins
 import math
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 import yaml
 from numpy.typing import NDArray
 
@@ -32,13 +33,9 @@ def tif(
     **more: Any,
 ) -> Path:
     """A GeoTIFF; `transform`: (pixel width, 0, left, 0, -pixel height, top); `edit`: sets what it says besides."""
-    rasterio = pytest.importorskip("rasterio")
-    affine = pytest.importorskip("affine")
     keys = {"height": values.shape[0], "width": values.shape[1], "count": 1, "dtype": values.dtype, "crs": crs} | more
     if transform:
-        keys["transform"] = affine.Affine(*transform)
-    import warnings
-
+        keys["transform"] = rasterio.Affine(*transform)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with rasterio.open(path, "w", driver="GTiff", **keys) as out:
@@ -374,7 +371,6 @@ def test_units_of_probabilities_in_words(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("zunits", "unit"), [("FEET", 0.3048), ("METERS", 1.0), ("100", 0.01), ("NO", 1.0)])
 def test_units_of_heights_in_an_old_prj(tmp_path: Path, zunits: str, unit: float) -> None:
-    pytest.importorskip("rasterio")
     (tmp_path / "dem.asc").write_text(
         "ncols 3\nnrows 2\nxllcorner 500000\nyllcorner 5000000\ncellsize 10\n0 5 9\n0 0 0\n"
     )
@@ -483,25 +479,10 @@ def test_no_data_is_compared_before_numbers_are_scaled(tmp_path: Path) -> None:
 
 def test_a_scale_that_a_file_beside_says(tmp_path: Path) -> None:
     """GDAL's `.aux.xml`, of an `.asc`, which can hold none itself."""
-    pytest.importorskip("rasterio")
     (tmp_path / "p.asc").write_text("ncols 2\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 10\n1 2\n3 4\n")
     band = '<PAMRasterBand band="1"><UnitType>%</UnitType><Offset>3</Offset><Scale>0.5</Scale></PAMRasterBand>'
     (tmp_path / "p.asc.aux.xml").write_text(f"<PAMDataset>{band}</PAMDataset>")
     assert read_raster(tmp_path / "p.asc").values == pytest.approx(np.array([[0.035, 0.04], [0.045, 0.05]]))
-
-
-def test_without_rasterio_the_error_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "a.tif").write_bytes(b"II*\0")
-    real = builtins.__import__
-
-    def no_rasterio(name: str, *args: Any, **keys: Any) -> Any:
-        if name.startswith("rasterio"):
-            raise ImportError(name)
-        return real(name, *args, **keys)
-
-    monkeypatch.setattr(builtins, "__import__", no_rasterio)
-    with pytest.raises(MapError, match=r"mrac-jax\[geo\]"):
-        read_raster(tmp_path / "a.tif")
 
 
 @pytest.mark.parametrize("values", [np.zeros(4), np.zeros((2, 3, 4)), np.zeros((0, 3)), np.zeros((2, 2), complex)])

@@ -99,8 +99,7 @@ def test_masked_values_are_missing_under_free_cells_alone() -> None:
         World.create(np.zeros((2, 2)), value=np.ma.masked)
 
 
-def test_csv_is_read_in_batches_and_a_wrong_line_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planner.files, "CSV_BATCH", 40)
+def test_csv_is_read_and_a_wrong_line_is_named(tmp_path: Path) -> None:
     file, rows = tmp_path / "w.csv", [f"0.{n:03d}, nan,{' ' * (n % 3)}-1,0.5e-3" for n in range(200)]
     file.write_text("\ufeff" + "\r\n\r\n".join(rows) + "\n\n")
     expected = np.array([[n / 1000, np.nan, np.nan, 0.0005] for n in range(200)], dtype=np.float32)
@@ -329,10 +328,7 @@ GRIDS = [
 
 
 @pytest.mark.parametrize(("text", "separator", "decimal"), GRIDS)
-def test_grids_between_other_separators(
-    tmp_path: Path, text: str, separator: str, decimal: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(planner.files, "CSV_BATCH", 5)
+def test_grids_between_other_separators(tmp_path: Path, text: str, separator: str, decimal: str) -> None:
     (tmp_path / "w.csv").write_bytes(text.encode())
     world = load_world_file(tmp_path / "w.csv")
     np.testing.assert_array_equal(world.threat, [[0, 0.5], [np.nan, np.nan]])
@@ -347,6 +343,7 @@ def test_grids_between_other_separators(
     ("text", "words"),
     [
         ("0;0,5\n0;0.5\n", "line 1 has '0,5' and line 2 '0.5'"),
+        ("\n\n\n0;0\n0;0,5\n0;0\n0;0.5\n", "line 5 has '0,5' and line 7 '0.5'"),
         ("0;1,234\n0;2,345\n", "line 1: '1,234' may be 1.234 or 1234"),
         ("0;1.234,5\n", "line 1: '1.234,5' has marks between thousands"),
         ("0,0,0,5\n0,0,0,2,5\n", "separate the columns by semicolons"),
@@ -361,13 +358,6 @@ def test_grids_that_can_be_read_in_two_ways(tmp_path: Path, text: str, words: st
     with pytest.raises(MapError) as caught:
         load_world_file(tmp_path / "w.csv")
     assert words in str(caught.value) and "w.csv" in str(caught.value)
-
-
-def test_decimal_signs_that_change_far_below(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planner.files, "CSV_BATCH", 5)
-    (tmp_path / "w.csv").write_text("\n\n\n0;0\n0;0,5\n0;0\n0;0.5\n")
-    with pytest.raises(MapError, match="decimal commas up to line 5, decimal points below"):
-        load_world_file(tmp_path / "w.csv")
 
 
 # Scenario files: what they give, and that every wrong one is one line naming file, key and value.

@@ -7,7 +7,6 @@ import re
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -107,13 +106,13 @@ def is_degrees(crs: str) -> bool:
     """True for the name or text of a CRS of longitudes and latitudes."""
     if PLAIN_DEGREES.search(crs):
         return True
+    import rasterio.crs
+
     try:
-        rasterio = rasterio_for("a CRS", crs)
         with rasterio.Env():  # keeps GDAL's errors off the screen
             return bool(rasterio.crs.CRS.from_user_input(crs).is_geographic)
-    except Exception:  # rasterio is missing, or PROJ does not know the CRS: its users report that
-        names = r"EPSG:.*\b(4258|4269|4979|4230)$|GEOG(CS|CRS)"
-        return bool(re.search(names, crs, re.IGNORECASE))
+    except rasterio.errors.CRSError:  # users of the CRS report that
+        return False
 
 
 @cache
@@ -155,12 +154,13 @@ def reproject(points: ArrayLike, source: str, target: str, file: str = "") -> ND
         float64 `[..., 2]`, in the CRS `target`.
 
     Raises:
-        MapError: PROJ does not know a CRS, a point lies outside of it, or rasterio is missing.
+        MapError: PROJ does not know a CRS, a point lies outside of it.
     """
     given = np.asarray(points, dtype=np.float64)
     if source == target or not given.size:
         return given
-    rasterio = rasterio_for("another coordinate reference system", source)
+    import rasterio.warp
+
     with no_way(source, target, file), rasterio.Env():
         found = rasterio.warp.transform(source, target, *given.reshape(-1, 2).T.tolist())
     moved = np.stack(found, axis=-1).reshape(given.shape)
@@ -203,29 +203,9 @@ def same_crs(one: str, other: str) -> bool:
     """True if both texts name the same CRS."""
     if one == other:
         return True
-    crs = rasterio_for("a CRS", one).crs.CRS
-    return bool(crs.from_user_input(one) == crs.from_user_input(other))
+    from rasterio.crs import CRS
 
-
-def rasterio_for(what: str, source: object, fix: str = "") -> Any:
-    """The module rasterio with its parts.
-
-    Args:
-        what: subject of the message.
-        source: for the message.
-        fix: further text of the fix.
-
-    Raises:
-        MapError: rasterio is not installed.
-    """
-    try:
-        import rasterio
-        import rasterio.crs
-        import rasterio.warp
-    except ImportError as missing:
-        fix = f"pip install 'mrac-jax[geo]'{fix}"
-        raise MapError(f"{what} needs rasterio", source=source, fix=fix) from missing
-    return rasterio
+    return bool(CRS.from_user_input(one) == CRS.from_user_input(other))
 
 
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2

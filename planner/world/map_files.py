@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import math
+import re
 import struct
 from collections.abc import Callable
 from dataclasses import replace
@@ -428,20 +429,31 @@ def read_movingai(path: Path) -> Grid:
         MapError: the header claims more than the file holds (checked before memory is allocated), or rows are missing,
             short or long.
     """
-    check_file(path, "a MovingAI map")
-    size = path.stat().st_size
-    if size > 2 * MAX_CELLS:
-        raise MapError(f"{size} bytes", source=path, expected=f"at most {2 * MAX_CELLS}")
-    try:
+    expected = "a MovingAI map: type, height, width, map"
+    check_size(path, 2 * MAX_CELLS, MapError, expected)
+    with library_errors("cannot be read", path, expected):
         lines = path.read_bytes().removeprefix(codecs.BOM_UTF8).splitlines()
-    except OSError as error:
-        raise MapError(f"cannot be read ({error.strerror})", source=path, expected="a MovingAI map") from error
-    start, header = _movingai_header(lines, path)
-    height, width = header["height"], header["width"]
+    header = [line.decode("latin-1").split() for line in lines[:10]]
+    if ["map"] not in header:
+        raise MapError("no line `map` in the header", source=path, expected=expected)
+    start, sides = header.index(["map"]) + 1, {}
+    for number, words in enumerate(header[:start], start=1):
+        if words == ["type", CORNERS]:
+            problem = f"line {number}: its type is {CORNERS}, whose characters are corners of cells"
+            raise MapError(problem, source=path, expected="type octile", fix="use the map's file of that type")
+        if words and words[0] in ("height", "width"):
+            # Nine digits at most: the product is compared with the size of the file.
+            if words[0] in sides or not re.fullmatch(r"[1-9][0-9]{0,8}", " ".join(words[1:])):
+                problem = f"line {number}: {' '.join(words)[:60]!r}"
+                raise MapError(problem, source=path, expected=f"one line `{words[0]} N`, a whole number from 1")
+            sides[words[0]] = int(words[1])
+    if len(sides) < 2:
+        raise MapError("height or width is missing", source=path, expected="height H, width W before `map`")
+    (height, width), size = (sides["height"], sides["width"]), path.stat().st_size
     if height * width > size:
         raise MapError(f"{size} bytes claim {height} x {width} cells", source=path, expected="a complete map")
     rows = lines[start:]
-    while rows and not rows[-1].strip() and len(rows) > height:
+    while len(rows) > height and not rows[-1].strip():
         rows.pop()
     if len(rows) != height:
         raise MapError(f"{len(rows)} rows", source=path, expected=f"{height} as the header says")
@@ -453,31 +465,6 @@ def read_movingai(path: Path) -> Grid:
     free = np.isin(cells, np.frombuffer(MOVINGAI_FREE, dtype=np.uint8))
     frame = Frame((height, width), 1.0)
     return Grid(np.where(free, FREE, OCCUPIED).astype(np.uint8), frame, str(path), measured=False)
-
-
-def _movingai_header(lines: list[bytes], path: Path) -> tuple[int, dict[str, int]]:
-    """Index of the first row, and height and width, given in any order."""
-    header: dict[str, int] = {}
-    for number, line in enumerate(lines[:10]):
-        text = line.decode("latin-1")
-        words = text.split()
-        if words == ["map"]:
-            if set(header) != {"height", "width"}:
-                raise MapError("height or width is missing", source=path, expected="height H, width W before `map`")
-            return number + 1, header
-        if words == ["type", CORNERS]:
-            problem = f"line {number + 1}: its type is {CORNERS}, whose characters are corners of cells"
-            raise MapError(problem, source=path, expected="type octile", fix="use the map's file of that type")
-        if words and words[0] in ("height", "width"):
-            digits = words[1] if len(words) == 2 and words[1].isdecimal() and len(words[1]) < 20 else "0"
-            if not 1 <= int(digits) <= MAX_CELLS:
-                expected = f"{words[0]} N, a whole number 1..{MAX_CELLS}"
-                raise MapError(f"line {number + 1}: {text[:60]!r}", source=path, expected=expected)
-            if words[0] in header:
-                problem = f"line {number + 1}: {text[:60]!r} is the second {words[0]}"
-                raise MapError(problem, source=path, expected=f"one line `{words[0]} N`")
-            header[words[0]] = int(digits)
-    raise MapError("no line `map` in the header", source=path, expected="a MovingAI map: type, height, width, map")
 
 
 Reader = Callable[[Path, float | None, Key | None], Grid]

@@ -23,7 +23,6 @@ from planner.world.grid import (
     Georeference,
     near,
     no_way,
-    rasterio_for,
     reproject,
     same_crs,
     turn_of,
@@ -296,9 +295,10 @@ def edges_in(bounds: Bounds, crs: Any, target: str, source: str) -> Bounds:
     Raises:
         MapError: the edges cannot be transformed.
     """
-    rasterio = rasterio_for("another coordinate reference system", source)
+    from rasterio.warp import transform_bounds
+
     with no_way(crs, target, source):
-        edges: Bounds = rasterio.warp.transform_bounds(crs, target, *bounds)
+        edges: Bounds = transform_bounds(crs, target, *bounds)
         if not np.isfinite(edges).all():
             raise ValueError("its edges are nowhere in it")
     return edges
@@ -322,7 +322,8 @@ def span(
     Raises:
         MapError: the points cannot be transformed.
     """
-    rasterio = rasterio_for("another coordinate reference system", source)
+    import rasterio.warp
+
     rows, cols = (ends.ravel() for ends in np.meshgrid(*(np.linspace(0, n, LATTICE) for n in shape), indexing="ij"))
     with no_way(crs, target, source), rasterio.transform.GCPTransformer(points) as places:
         found = np.stack(places.xy(rows.tolist(), cols.tolist(), offset="ul"), axis=-1)
@@ -349,10 +350,12 @@ def _off_the_seam(band: Band, place: Georeference, source: str) -> Band:
     middle = float(reproject([middle, 0.0], WGS84, crs.to_string(), source)[0])
     if max(abs(band.bounds[0] - middle), abs(band.bounds[2] - middle)) <= turn / 2 or len(origins) > 1:
         return band
-    rasterio, moved = rasterio_for("another coordinate reference system", source), -turn / 2
+    from rasterio.crs import CRS
+
+    moved = -turn / 2
     if crs.is_geographic:
         about = (band.bounds[0] + band.bounds[2]) / 2
-        crs = rasterio.crs.CRS.from_string(f"+proj=longlat +datum=WGS84 +lon_wrap={about:.6f} +no_defs +type=crs")
+        crs = CRS.from_string(f"+proj=longlat +datum=WGS84 +lon_wrap={about:.6f} +no_defs +type=crs")
         found = reproject([[point.x, point.y] for point in points], band.crs.to_string(), WGS84, source)
         found[:, 0] = near(found[:, 0], about, TURN)
     else:
@@ -360,7 +363,7 @@ def _off_the_seam(band: Band, place: Georeference, source: str) -> Band:
             item["value"] = float(near(item["value"] + TURN / 2, 0.0, TURN))
         text.pop("id", None)
         text["name"] = "about its own middle"  # else GDAL takes it for the CRS of the old name
-        crs = rasterio.crs.CRS.from_user_input(json.dumps(text))
+        crs = CRS.from_user_input(json.dumps(text))
         found = np.array([[point.x + moved, point.y] for point in points])
     points = tuple(
         type(point)(point.row, point.col, *xy, point.z) for point, xy in zip(points, found.tolist(), strict=True)
@@ -388,7 +391,8 @@ def lay_over(band: Band, frame: Frame, place: Georeference, how: How, source: st
     Raises:
         MapError: its CRS cannot be transformed.
     """
-    rasterio = rasterio_for("another coordinate reference system", source)
+    import rasterio.warp
+
     band = _off_the_seam(band, place, source)
     assert band.bounds is not None
     left, bottom, right, top = band.bounds
@@ -444,14 +448,15 @@ def read_band(path: Path, of: Meaning) -> Band:
     Raises:
         MapError: it cannot be read, or its unit or position is not supported.
     """
-    rasterio = rasterio_for(f"reading {path.suffix}", path, fix=", or convert to .npy")
+    import rasterio
+
     driver = "AAIGrid" if path.suffix.lower() == ".asc" else "GTiff"
     with library_errors("cannot be read as a raster", path, "GeoTIFF"), rasterio.open(path, driver=driver) as data:
         plausible(data.width * data.height, path)
         if data.count != 1 or np.dtype(data.dtypes[0]).kind not in "fiu":
             problem = f"{data.count} bands of {data.dtypes[0]}"
             raise MapError(problem, source=path, expected="one band of real numbers")
-        crs, vertical = _split(data.crs or data.gcps[1] or _crs_beside(path, data, rasterio), path, rasterio)
+        crs, vertical = _split(data.crs or data.gcps[1] or _crs_beside(path, data), path)
         said = _metadata(data, vertical, of, path)
         numbers = data.read(1, masked=True)
         bounds, points, notes = _place(data, crs, path)
@@ -505,7 +510,7 @@ def _number(text: str, otherwise: float) -> float:
         return otherwise
 
 
-def _split(crs: Any, path: Path, rasterio: Any) -> tuple[Any, Unit | None]:
+def _split(crs: Any, path: Path) -> tuple[Any, Unit | None]:
     """The horizontal part of a CRS, and its unit of heights, if any.
 
     Vertical axes are read from PROJJSON: rasterio reports horizontal ones only.
@@ -516,7 +521,7 @@ def _split(crs: Any, path: Path, rasterio: Any) -> tuple[Any, Unit | None]:
     parts = _bare(whole).get("components", [whole])
     upright = [axis for axis in _bare(parts[-1])["coordinate_system"]["axis"] if axis["direction"] in ("up", "down")]
     if len(parts) > 1:
-        crs = rasterio.crs.CRS.from_user_input(json.dumps(parts[0]))
+        crs = type(crs).from_user_input(json.dumps(parts[0]))
     if not upright:
         return crs, _vertical_beside(path)
     unit = upright[0].get("unit", "metre")
@@ -539,13 +544,15 @@ def _beside(path: Path) -> str:
     return ""
 
 
-def _crs_beside(path: Path, data: Any, rasterio: Any) -> Any:
+def _crs_beside(path: Path, data: Any) -> Any:
     """The CRS in the `.prj` file of a raster without one: GDAL only reads those of `.asc` files."""
     text = "" if data.transform.is_identity or path.suffix.lower() == ".asc" else _beside(path)
     if not text:
         return None
+    from rasterio.crs import CRS
+
     with library_errors("its .prj file cannot be read", path, "a CRS in WKT"):
-        return rasterio.crs.CRS.from_wkt(text, morph_from_esri_dialect=True)
+        return CRS.from_wkt(text, morph_from_esri_dialect=True)
 
 
 def _vertical_beside(path: Path) -> Unit | None:

@@ -102,7 +102,7 @@ def read_raster(
         of: kind of quantity.
 
     Raises:
-        MapError: the file cannot be read, a unit is unknown, or rasterio is needed and not installed.
+        MapError: the file cannot be read, a unit is unknown.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:

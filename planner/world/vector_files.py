@@ -32,7 +32,6 @@ from planner.world.grid import (
     degree_sides,
     is_degrees,
     principal,
-    rasterio_for,
     reproject,
     turn_of,
 )
@@ -576,7 +575,9 @@ def _in_metres(shapes: Shapes, path: Path, cell_size: float) -> Placed:
     if crs == WGS84:
         return _degrees(polygons, path, cell_size)
     with library_errors(f"its CRS is {crs[:60]!r}", path, "a CRS that PROJ knows, in degrees or metres"):
-        known = rasterio_for("another coordinate reference system", path).crs.CRS.from_user_input(crs)
+        from rasterio.crs import CRS
+
+        known = CRS.from_user_input(crs)
         if known.is_geographic:
             check_range(corners, "", path)
             moved = [[reproject(ring, crs, WGS84) for ring in rings] for rings in polygons]
