@@ -170,20 +170,6 @@ NEGLIGIBLE = 1e-9
 """Survival probability below which an evaluation ends."""
 
 
-@dataclass(frozen=True, eq=False)
-class Found:
-    """Result of a search. Axes: `K` robots, `V` nodes.
-
-    Attributes:
-        orders: int64 for each robot, its targets. cells: expected cells visited by the team.
-        evaluations: number done.
-    """
-
-    orders: tuple[NDArray[np.int64], ...]
-    cells: float
-    evaluations: int
-
-
 def chances(nodes: Nodes, order: NDArray[np.int64], here: int) -> NDArray[np.float64]:
     """S, float64 `[V]`: probability that a robot reaches each node.
 
@@ -204,7 +190,7 @@ def search(
     effort: int,
     seed: int,
     seconds: float | None = None,
-) -> Found:
+) -> tuple[tuple[NDArray[np.int64], ...], int]:
     """Search for better orders. Equal arguments give equal results, unless `seconds` ends the search.
 
     Args:
@@ -214,6 +200,9 @@ def search(
         effort: evaluations.
         seed: of the annealing.
         seconds: time limit.
+
+    Returns:
+        (the targets of each robot, int64; evaluations done).
     """
     draw = np.random.default_rng(seed)
     began, done = time.monotonic(), 0
@@ -232,7 +221,7 @@ def search(
             cells = team_cells(nodes, reached)
             if cells > most:
                 best, most = tuple(order.copy() for order in now), cells
-    return Found(best, most, done)
+    return best, done
 
 
 def team_cells(nodes: Nodes, reached: NDArray[np.float64]) -> float:
@@ -354,11 +343,11 @@ def make_open_loop_plan(world: World, starts: ArrayLike, settings: Settings, sec
         for of in orders
     ]
     effort = EFFORT if settings.effort is None else settings.effort
-    found = search(nodes, orders[int(np.argmax(worth))], begin, effort, SEED, seconds)
+    found, done = search(nodes, orders[int(np.argmax(worth))], begin, effort, SEED, seconds)
     last = MAX_STEP if settings.last_step is None else settings.last_step
     paths = tuple(
         nodes.drive(order, start, problem)[: min(last, moves) + 1]
-        for order, start, moves in zip(found.orders, problem.starts.tolist(), problem.range.tolist(), strict=True)
+        for order, start, moves in zip(found, problem.starts.tolist(), problem.range.tolist(), strict=True)
     )
     cells, before = (expected_value(some, world) for some in (paths, [robot.path for robot in nominal.robots]))
     if before > cells:
@@ -367,7 +356,7 @@ def make_open_loop_plan(world: World, starts: ArrayLike, settings: Settings, sec
         world.shape, world.sha256, None, tuple(RobotPlan(path) for path in paths), outcome=Outcome.END_OF_PATHS.word,
         for_open_loop=True,
         bears=settings.failure_model(), source=world.source,
-        notes=_notes(cells, before, found.evaluations, effort, closed, "cells" if world.value is None else "of value"),
+        notes=_notes(cells, before, done, effort, closed, "cells" if world.value is None else "of value"),
     )  # fmt: skip
     return replace(plan, time=plan.makespan)
 

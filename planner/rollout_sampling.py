@@ -58,10 +58,6 @@ class Luck:
         self._hazard[robot] += _exposure(chance)
         return self._hazard[robot] >= self._threshold[robot]
 
-    def borne(self, robot: int) -> int:
-        """The robot's cumulative hazard so far, that before the rollout included."""
-        return self._hazard[robot] + (self._failures.begun[robot] if self._failures.begun else 0)
-
 
 @cache
 def _exposure(chance: np.float32) -> int:

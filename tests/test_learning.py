@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from math import hypot, inf
@@ -68,15 +67,20 @@ def moves(path):
     return path
 
 
-def script(truth, stops):
-    """Robot i is stopped at its `stops[i]`-th visit of a dangerous cell, never by 0."""
-    visits = Counter()
+class Script:
+    """Robot i is stopped at its `stops[i]`-th visit of a cell that it may be stopped in; sure: all or none. What is
+    consumed stops nobody any more."""
 
-    def stopped(robot, step, cell):
-        visits[robot] += truth[tuple(cell)] > 0
-        return bool(truth[tuple(cell)] > 0) and visits[robot] == stops[robot]
+    def __init__(self, may, stops, uncertainty=None):
+        self.may, self.stops, self.visits, self.known = may.ravel().copy(), stops, [0, 0], {}
+        self.consumed = uncertainty is not None and uncertainty.kind == "consumed"
+        self.sure = np.zeros(may.size) if self.consumed or uncertainty is None else uncertainty.h.ravel() == 1
 
-    return stopped
+    def hit(self, robot, step, cell):
+        self.visits[robot] += self.may[cell]
+        stopped = bool(self.may[cell] and self.visits[robot] == self.stops[robot])
+        self.may[cell] &= not (stopped and self.consumed)
+        return self.known.setdefault(cell, stopped) if self.sure[cell] else stopped
 
 
 def written(run, world):
@@ -103,10 +107,8 @@ def test_every_scripted_run_is_that_of_a_twin_written_from_the_rules(number, nam
         world, free = World.create(one).with_true_map(other, sense), np.argwhere(~np.isnan(other))
         for starts in (free[[0, -1]], free[[0, 0]]):
             loop = compile_closed_loop(make_plan(world, starts), world, interpreted=True)
-            for stops in (STOPS[::3], STOPS)[most]:
-                hit = script(other, stops)
-                run = SingleRun(loop, hit=lambda i, t, cell, hit=hit, to=world.shape[1]: hit(i, t, divmod(cell, to)))
-                runs.append(written(play(run), world))
+            hits = [Script(other > 0, stops).hit for stops in (STOPS[::3], STOPS)[most]]
+            runs += [written(play(SingleRun(loop, hit=hit)), world) for hit in hits]
     assert hash_of(runs) == ANSWERS["learning"][f"{number} {name}"][most]
 
 
@@ -498,22 +500,6 @@ def nothing(robot, step, cell):
     return False
 
 
-class Script:
-    """Robot i is stopped at its `stops[i]`-th visit of a cell that it may be stopped in; sure: all or none. What is
-    consumed stops nobody any more."""
-
-    def __init__(self, world, stops):
-        self.may, self.stops, self.consumed = (world.threat > 0).ravel(), stops, world.uncertainty.kind == "consumed"
-        self.sure = (world.uncertainty.h == 1).ravel() & (world.uncertainty.kind == "persistent")
-        self.visits, self.known = [0, 0], {}
-
-    def hit(self, robot, step, cell):
-        self.visits[robot] += self.may[cell]
-        stopped = bool(self.may[cell] and self.visits[robot] == self.stops[robot])
-        self.may[cell] &= not (stopped and self.consumed)
-        return self.known.setdefault(cell, stopped) if self.sure[cell] else stopped
-
-
 def played(loop, hit, alarm):
     """A run in progress, at its end, and the run, by these judges of visits and readings."""
     beliefs = interpreted("map_belief")
@@ -541,7 +527,7 @@ def test_every_scripted_run_is_that_of_a_twin_written_from_the_rules_experience(
         plan = make_plan(world, starts, Settings(levels=64))  # the twin knows no bins
         loop = compile_closed_loop(plan, world, interpreted=True)
         for stops in (STOPS[::3], STOPS)[most]:
-            run, done = played(loop, Script(world, stops).hit, readings)
+            run, done = played(loop, Script(world.threat > 0, stops, world.uncertainty).hit, readings)
             runs.append([*written(done, world), run.raw.odds.tolist()])
     assert hash_of(runs) == ANSWERS["lessons"][f"{number} {kind} {which}"][most]
 

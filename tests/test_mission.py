@@ -183,7 +183,7 @@ def test_so_it_is_from_a_state_and_through_its_file(more: dict[str, Any], every:
         np.testing.assert_array_equal(mission._fleet.loop.on_grid(mission._fleet.visited), whole.visited)
         assert mission.lost == tuple(np.flatnonzero(~whole.alive))
         if plan.failure_model.shape > 1:
-            assert mission.state.exposures == tuple(luck.borne(robot) for robot in range(mission.robots))
+            assert mission.state.exposures == tuple(luck._hazard[robot] for robot in range(mission.robots))
 
 
 def test_in_which_order_robots_report_in_a_step_is_all_one() -> None:

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import asdict, fields, replace
 from fractions import Fraction
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -311,26 +312,19 @@ def test_limits_of_the_random_number_counter(tmp_path: Path, monkeypatch: pytest
 # --- what is refused: the project's own format ---
 
 
-def change(*keys: Any, to: Any) -> Callable[[dict[str, Any]], None]:
+def change(*keys: Any, to: Any = None, remove: bool = False) -> Callable[[dict[str, Any]], None]:
     def plant(data: dict[str, Any]) -> None:
         place: Any = data
         for key in keys[:-1]:
             place = place[key]
         place[keys[-1]] = to
+        if remove:
+            del place[keys[-1]]
 
     return plant
 
 
-def without(*keys: Any) -> Callable[[dict[str, Any]], None]:
-    def plant(data: dict[str, Any]) -> None:
-        place: Any = data
-        for key in keys[:-1]:
-            place = place[key]
-        del place[keys[-1]]
-
-    return plant
-
-
+without = partial(change, remove=True)
 LEG, AREA, ADDED = ("robots", 1, "legs", 0), ("areas", 1), ("areas_added", 0)
 FAULTS: list[tuple[Callable[[dict[str, Any]], None], list[str]]] = [
     (change("format", to="mrac-plans"), ["'mrac-plans'", '"mrac-plan"']),

@@ -405,6 +405,22 @@ class _Visitors(NamedTuple):
         return np.where(self.need == 0, values, total - (total - values)[self.start])
 
 
+def _terms(row: NDArray[np.int64], source: NDArray[np.int64], sign: int) -> NDArray[np.int64]:
+    """Elements of `Events.matrix`, int64 `[3, n]`: row, source, value."""
+    return np.stack([row, source, np.full(len(row), sign)])
+
+
+def _entry_terms(entries: Entries, local: _Local, cells: int, row: int) -> list[NDArray[np.int64]]:
+    """Visits of each cell, in rows from `row` on, and losses there: an entry is made, and the next outcome not."""
+    terms, danger = [], entries.dangerous
+    for first, later, sign, some in ((row, 0, 1, True), (row + cells, 0, 1, danger), (row + cells, 1, -1, danger)):
+        made = some & (entries.passed + later < local.size[entries.robot])
+        robot = entries.robot[made]
+        source = local.never[local.group[robot]] + local.change(robot, entries.passed[made] + later)
+        terms.append(_terms(first + entries.cell[made], source, sign))
+    return terms
+
+
 def collect_events(entries: Entries, groups: Groups, cells: int, last_step: int) -> Events:
     """Collect all events of a plan. Cost: O(first entries), once for each meaning of coverage.
 
@@ -414,19 +430,8 @@ def collect_events(entries: Entries, groups: Groups, cells: int, last_step: int)
         cells: N.
         last_step: T.
     """
-    steps, local, collected = last_step + 1, _Local.of(groups), list[NDArray[np.int64]]()
-
-    def add(row: NDArray[np.int64], source: NDArray[np.int64], sign: int) -> None:
-        collected.append(np.stack([row, source, np.full(len(row), sign)]))
-
-    for row, later, sign, some in (
-        (0, 0, 1, entries.robot >= 0), (cells, 0, 1, entries.dangerous), (cells, 1, -1, entries.dangerous),
-    ):  # fmt: skip
-        made = some & (entries.passed + later < local.size[entries.robot])
-        robot = entries.robot[made]
-        source = local.never[local.group[robot]] + local.change(robot, entries.passed[made] + later)
-        add(2 * steps + row + entries.cell[made], source, sign)
-
+    steps, local = last_step + 1, _Local.of(groups)
+    terms = _entry_terms(entries, local, cells, 2 * steps)
     seen = _Visitors.of(entries, local.size, cells, steps)
     group = local.group[seen.robot]
     of_one = (seen.need == 0) | (seen.running((group != group[seen.start]).astype(np.int64)) == 0)
@@ -438,16 +443,11 @@ def collect_events(entries: Entries, groups: Groups, cells: int, last_step: int)
     name, joint = seen.running(high.astype(np.uint64) << np.uint64(32) | low), np.flatnonzero(last & ~of_one)
     _, first, number = np.unique(name[joint], return_index=True, return_inverse=True)
     event[joint] = local.sources + number
-    event, cell, step, final = (
-        event[last],
-        seen.cell[last],
-        seen.step[last],
-        np.append(np.diff(seen.cell[last]) > 0, True),
-    )
+    event, cell, step = event[last], seen.cell[last], seen.step[last]
+    final = np.append(np.diff(cell) > 0, True)
     follows = np.flatnonzero(~final[:-1]) + 1
-    add(step, event, 1)
-    add(step[follows], event[follows - 1], -1)
-    add(2 * steps + 2 * cells + cell[final], event[final], 1)
+    terms += [_terms(step, event, 1), _terms(step[follows], event[follows - 1], -1)]
+    terms.append(_terms(2 * steps + 2 * cells + cell[final], event[final], 1))
     weights = [
         np.bincount(event[final & (cell // cells == meaning)], minlength=local.sources + len(first))
         for meaning in (0, 1)
@@ -462,7 +462,7 @@ def collect_events(entries: Entries, groups: Groups, cells: int, last_step: int)
     least = np.full(len(place), np.iinfo(np.int64).max)
     np.minimum.at(least, owner, seen.need[member])
     order = np.lexsort((least, shown[0] + shown[1] == 0))
-    bit, (row, source, sign) = np.argsort(order), np.concatenate(collected, axis=1)
+    bit, (row, source, sign) = np.argsort(order), np.concatenate(terms, axis=1)
     source = np.append(np.arange(local.sources), local.sources + bit)[source]
     shape = (2 * steps + 4 * cells, local.sources + len(place))
     return Events(
