@@ -112,7 +112,7 @@ def test_the_sentence_says_what_differs(capsys: pytest.CaptureFixture[str], tmp_
     )
     found = answer(capsys, *asked, "--exact", "never")
     assert (
-        "points (exact) more of the accessible cells than A (1 robot, risk paper);"
+        " points more of the accessible cells than A (1 robot, risk paper) on average (exact);"
         in answer(capsys, *asked, "--exact", "0.5")["answer"]
     )
     assert "B (4 robots, risk log) visits" in found["answer"]

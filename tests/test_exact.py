@@ -22,7 +22,7 @@ from analysis.cli.app import run
 from analysis.comparison import compare, make_side
 from analysis.estimators.trial import SLACK, _loop_of, tree_of
 from analysis.evaluation.evaluate import TO_LOOK_AT, evaluate
-from analysis.evaluation.report import completion_text, losses_text, report, to_json
+from analysis.evaluation.report import completion_text, losses_text, report
 from analysis.evaluation.tables import distribution, histogram_bins
 from analysis.report.result import print_report
 from analysis.sampling import RolloutChoices
@@ -238,7 +238,7 @@ def test_scaled_worlds_are_judged_by_their_own_threats() -> None:
     plan = make_plan(world, place_starts(world, 1)[0])
     answer = evaluate(world, plan, RolloutChoices(loop="open", rollouts=64), threat_scale=(0.0, 2.0))
     assert [scaled.tally.rollouts for scaled in answer.outputs["threat_scale"].scaled] == [1, 64]
-    assert to_json(answer)["threat_scale"][0]["losses"]["ci95"] == [0.0, 0.0]
+    assert answer.to_json()["threat_scale"][0]["losses"]["ci95"] == [0.0, 0.0]
 
 
 # What an evaluation calls exact is the expected value of the loop that was evaluated, or null.

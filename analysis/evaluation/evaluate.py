@@ -118,8 +118,8 @@ class Evaluation(Result):
     def with_outputs(self, more: Mapping[str, Output], partial: bool) -> Evaluation:
         """The same evaluation with further outputs; cached values are kept."""
         whole = replace(self, outputs={**self.outputs, **more}, partial=partial)
-        # Cached properties depend on the rollouts only, except `blocks`, which depends on the outputs.
-        kept = {name: value for name, value in vars(self).items() if name not in vars(whole) and name != "blocks"}
+        # Cached properties depend on the rollouts only, except `elements`, which depends on the outputs.
+        kept = {name: value for name, value in vars(self).items() if name not in vars(whole) and name != "elements"}
         vars(whole).update(kept)
         return whole
 

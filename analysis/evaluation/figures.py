@@ -28,6 +28,7 @@ from analysis.statistics.estimates import (
     exactly,
     losses_shown,
     mean_estimate,
+    of_all,
     proportion,
     quantile,
     quantiles,
@@ -131,6 +132,10 @@ class AtHome(Estimate):
         mean = tree.mean_home
         chances = tuple(Chance.known(*tree.chance_home(least)) for least in range(len(self.at_least)))
         return replace(self, **({} if mean is None else vars(exactly(mean))), at_least=chances)
+
+    def columns(self, scale: float = 1.0, most: int | None = None) -> tuple[str, str]:
+        """("1.87 of 5", "1.85 .. 1.89"), as in `losses_shown`."""
+        return losses_shown(self, self.robots)
 
     @property
     def robots(self) -> int:
@@ -246,9 +251,35 @@ class Coverage(Estimate):
         return self.covered.chance_of_share(fraction)
 
 
-@dataclass(frozen=True, eq=False)
+def in_table(title: str, exact: Callable[[OpenLoopExact], str] = lambda known: "", scaled: str = "") -> Json:
+    """Metadata of a field of `Figures` that has a row in the table and a key in the JSON object.
+
+    Args:
+        title: of its row. exact: the open loop's exact value as text.
+        scaled: title of a second row in minutes, of a time where the length of a step is known.
+    """
+    return {"title": title, "exact": exact, "scaled": scaled}
+
+
+def exact_survival(known: OpenLoopExact) -> str:
+    """The probability that a robot survives the open loop, in percent."""
+    return in_percent(known.some_left, 2)
+
+
+def exact_time(known: OpenLoopExact) -> str:
+    """The expected number of steps of the open loop, as text."""
+    return known_text(known.mean_time, "{:,.1f}")
+
+
+def exact_losses(known: OpenLoopExact) -> str:
+    """The expected number of robots lost in the open loop, as text."""
+    lost, robots = known.expected_losses, len(known.survival)
+    return "" if math.isnan(lost) else f"{of_all(lost, robots)} of {robots}"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Figures:
-    """Figures of rollouts, or of an exact tree.
+    """Figures of rollouts, or of an exact tree; a new one is a field and its value in `of`.
 
     Attributes:
         visited, survived: coverage. complete: probability to visit every accessible cell.
@@ -260,15 +291,15 @@ class Figures:
 
     visited: Covered
     survived: Covered
-    complete: Chance
+    complete: Chance = field(metadata=in_table("chance to visit every cell"))
     ends: dict[Outcome, Chance]
     left: list[Chance]
-    some_left: Chance
+    some_left: Chance = field(metadata=in_table("chance that a robot survives", exact_survival))
     alive: Estimate
-    losses: Losses
-    time: Estimate
+    losses: Losses = field(metadata=in_table("robots lost", exact_losses))
+    home: AtHome | None = field(metadata=in_table("robots back at base"))
+    time: Estimate = field(metadata=in_table("time, steps", exact_time, "time, minutes"))
     assured: int | None
-    home: AtHome | None = None
 
     @classmethod
     def of(cls, tally: Tally, certain: bool, longest: int | None = None, home: NDArray[np.int64] | None = None) -> Self:

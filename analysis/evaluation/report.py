@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields
 from fractions import Fraction
 from functools import partial
 
@@ -247,10 +248,10 @@ def to_json(evaluation: Evaluation) -> Json:
         "coverage": found.coverage_json(),
         "best": pick(evaluation, "visited survived losses"),
         "coverage_of_free_cells": {m: getattr(found, m).mean.mean / evaluation.cells["free"] for m in MEANINGS},
-        "time": found.time.to_json() | {"max": int(np.flatnonzero(tally.time).max())},
         "outcomes": counts_by_word(tally.outcomes, plan.ends_by_deadline),
-        "complete": found.complete,
+        **{one.name: value for one in fields(found) if "title" in one.metadata and (value := getattr(found, one.name))},
         "alive": pick(found.alive, "mean"),
+        "time": found.time.to_json() | {"max": int(np.flatnonzero(tally.time).max())},
         "losses": found.losses.to_json() | {"exact": None if known.alive is None else tally.robots - known.alive},
         "some_left": evaluation.shown.some_left,
         "control": _control_json(evaluation),
@@ -273,7 +274,7 @@ def to_json(evaluation: Evaluation) -> Json:
         "compile_seconds": evaluation.compile_seconds,
         "advice": None,
     }
-    more: Json = {"home": found.home, **pick(world, "movers phases")}
+    more = pick(world, "movers phases")
     more |= {key: output.as_json() for key, output in evaluation.outputs.items()}
     return (
         out | {key: value for key, value in more.items() if value is not None} | json_end(evaluation, evaluation.notes)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,11 @@ from analysis.evaluation.evaluate import Evaluation
 from analysis.evaluation.figures import NAMES, TO_DO, Figures, Rest, Row, coverage_row, known_text
 from analysis.page.elements import CellLayer, Chart, Series
 from analysis.report.model import CellMaps, Planned, Section
-from analysis.statistics.estimates import AT_LEAST, losses_shown, of_all
+from analysis.statistics.estimates import AT_LEAST
 from analysis.theory.bounds import Theorem3
 from analysis.theory.verdicts import FORMULAS, MEANINGS, Verdict
 from analysis.utils.tables import Column, make_table, table_of
-from planner.formatting import at_least_text, counted, in_percent, percent
+from planner.formatting import at_least_text, counted, percent
 from planner.plan.plan import drive_of
 from planner.simulator.codes import Outcome
 
@@ -69,26 +69,25 @@ def _coverage_rows(evaluation: Evaluation) -> Iterator[Row]:
 
 
 def _chance_rows(evaluation: Evaluation) -> Iterator[Row]:
-    """The probabilities of coverage and of outcomes, losses, and time."""
+    """The probabilities of coverage and of outcomes, and a row for each field of `Figures` with a title."""
     found, exact, pace = _shown_figures(evaluation), evaluation.closed_form, evaluation.world.pace
-    robots, lost = len(evaluation.plan.robots), exact.expected_losses
     for x in AT_LEAST[:-1]:
         yield Row(f"chance to visit {100 * x:g} % or more", "", found.visited.at_least[x].columns())
-    yield Row("chance to visit every cell", "", found.complete.columns())
-    for outcome, chance in found.ends.items():
-        if outcome not in SAID_BY_COVERAGE:
-            yield Row(f"chance that it {evaluation.plan.clause_of(outcome)}", "", chance.columns())
-    yield Row("chance that a robot survives", in_percent(exact.some_left, 2), found.some_left.columns())
-    known = "" if math.isnan(lost) else f"{of_all(lost, robots)} of {robots}"
-    yield Row("robots lost", known, found.losses.columns())
-    if found.home is not None:
-        yield Row("robots back at base", "", losses_shown(found.home, robots))
-        for least, chance in found.home.shown.items():
-            yield Row(f"chance that {at_least_text(least, robots)} back at base", "", chance.columns())
-    yield Row("time, steps", known_text(exact.mean_time, "{:,.1f}"), found.time.columns())
-    if pace:
-        known = known_text(pace.minutes * exact.mean_time, "{:,.1f}")
-        yield Row("time, minutes", known, found.time.columns(pace.minutes))
+    for one in fields(Figures):
+        value, title = getattr(found, one.name), one.metadata.get("title")
+        if one.name == "ends":
+            for outcome, chance in found.ends.items():
+                if outcome not in SAID_BY_COVERAGE:
+                    yield Row(f"chance that it {evaluation.plan.clause_of(outcome)}", "", chance.columns())
+        if title is None or value is None:
+            continue
+        yield Row(title, one.metadata["exact"](exact), value.columns())
+        if pace and (minutes := one.metadata["scaled"]):
+            yield Row(minutes, known_text(pace.minutes * exact.mean_time, "{:,.1f}"), value.columns(pace.minutes))
+        if one.name == "home" and found.home is not None:
+            for least, chance in found.home.shown.items():
+                name = f"chance that {at_least_text(least, found.home.robots)} back at base"
+                yield Row(name, "", chance.columns())
 
 
 def worst_cells(evaluation: Evaluation) -> list[Table]:

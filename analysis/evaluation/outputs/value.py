@@ -20,6 +20,7 @@ from rich.table import Table
 from analysis.estimators.trial import TreeTruth, mean_value, stated, units_of
 from analysis.evaluation.figures import Elements, Output, Run
 from analysis.page.elements import CellLayer
+from analysis.report.result import pick
 from analysis.sampling import make_engine_for
 from analysis.statistics.estimates import TAIL, Estimate, at_least, exactly, in_unit, robots_left, tail_mean, times_to
 from analysis.statistics.variance_reduction import LEAST, CommonThresholds, tally_mean
@@ -41,8 +42,8 @@ from planner.world.world import World
 
 
 @dataclass(frozen=True, eq=False)
-class ValueFigures:
-    """Value covered, found and left. Axis `N` = H * W cells.
+class Value(Output):
+    """Value covered, found and left, of an evaluation. Axis `N` = H * W cells.
 
     Attributes:
         world: the map. worth: of its cells.
@@ -111,16 +112,14 @@ class ValueFigures:
         """Expected area visited, m2."""
         return float(self.covered_by_cell.sum()) * self.world.cell_size**2
 
-    def to_json(self) -> Json:
+    def as_json(self) -> Json:
         """The JSON object, without the values by cell."""
-        shares = {name: getattr(self, name).to_json() for name in ("covered", "found", "left")}
         route = self.route_left
+        per_robot = {"value": self.covered.mean, "square_metres": self.square_metres}
         return {
             "total": self.worth.total,
-            **shares,
-            "remainder": self.remainder,
+            **pick(self, "covered found left remainder"),
             "any_strategy": self.most,
-        } | {
             "search": {
                 "containment": self.covered.mean * self.scale,
                 "detection": self.detection,
@@ -129,90 +128,14 @@ class ValueFigures:
             "clearance": {
                 "cleared": self.found.mean / self.worth.total,
                 "remaining": self.left.mean,
-                "route": None if route is None else {"remaining": route[0], "risk": [route[1], min(route[0], 1.0)]},
+                "route": route and {"remaining": route[0], "risk": [route[1], min(route[0], 1.0)]},
             },
             "square_metres": self.square_metres,
-            "per_robot_lost": {
-                "value": self.per_robot_lost(self.covered.mean),
-                "square_metres": self.per_robot_lost(self.square_metres),
-            },
-            "robots_left": [chance.to_json() for chance in self.robots_left],
+            "per_robot_lost": {name: self.per_robot_lost(amount) for name, amount in per_robot.items()},
+            "robots_left": self.robots_left,
             "time_to": {f"{share:g}": step for share, step in times_to(self.tally).items()},
             "cvar": {f"{TAIL:g}": self.cvar},
         }
-
-
-# The value output as a sentence and as a table.
-
-
-def amount(value: float) -> str:
-    """A value with four significant digits, or two decimals from 100 on."""
-    return f"{value:,.2f}" if abs(value) >= 100 else f"{value:.4g}"
-
-
-def value_table(value: ValueFigures) -> Table:
-    """Value covered, found and left first, then the other figures."""
-    table = make_table(("", "expected", "95 % interval"), "Value of the cells")
-    for row in (*_coverage(value), *_common(value)):
-        table.add_row(*row)
-    return table
-
-
-Rows = Iterator[tuple[str, str, str]]
-
-
-def _row(name: str, estimate: Estimate, scale: float = 1.0, chance: bool = False) -> tuple[str, str, str]:
-    if chance:
-        mean, interval = estimate.columns(100 * scale, 100)
-        return name, f"{mean} %", in_unit(interval)
-    low, high = (amount(scale * end) for end in estimate.ci95)
-    exact = estimate.ci95[0] == estimate.ci95[1]
-    return name, amount(scale * estimate.mean), "exact" if exact else f"{low} .. {high}"
-
-
-def _coverage(value: ValueFigures) -> Rows:
-    yield _row("value of all free cells", exactly(value.worth.total))
-    yield _row("value covered (visited)", value.covered)
-    yield _row("value found", value.found)
-    yield _row("value left", value.left)
-    if value.route_left is not None:
-        yield "value left on the route", amount(value.route_left[0]), ""
-
-
-def _common(value: ValueFigures) -> Rows:
-    if value.most is not None:
-        yield "no strategy covers more on average (proven)", amount(value.most), ""
-    yield "ground visited, m2", amount(value.square_metres), ""
-    each = [value.per_robot_lost(of) for of in (value.square_metres, value.covered.mean)]
-    for name, ratio in zip(("m2 covered per robot lost", "value covered per robot lost"), each, strict=True):
-        yield name, "no robot is lost" if ratio is None else amount(ratio), ""
-    for robots, chance in enumerate(value.robots_left, 1):
-        if robots in _listed(value.tally.robots):
-            yield _row(f"chance that {at_least_text(robots, value.tally.robots)} left", chance, chance=True)
-    for share, step in times_to(value.tally).items():
-        when = "never" if step is None else f"{step:,}{value.world.pace.also(step)}"
-        yield f"steps to {100 * share:g} % of the cells, on average", when, ""
-        if step is None:
-            break
-    yield f"coverage in the worst {100 * TAIL:g} % of runs (CVaR)", percent(value.cvar, 2), ""
-
-
-def _listed(robots: int) -> set[int]:
-    """One robot, half of the robots, all robots."""
-    return {1, -(-robots // 2), robots}
-
-
-def _sentence(value: ValueFigures) -> str:
-    """The answer in one sentence."""
-    return (
-        f"Of {amount(value.worth.total)} in all, {amount(value.covered.mean)} are covered and "
-        f"{amount(value.found.mean)} found on average; {amount(value.left.mean)} are left."
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Value(ValueFigures, Output):
-    """The value figures of an evaluation."""
 
     @classmethod
     def check(cls, asked: bool, world: World) -> None:
@@ -263,9 +186,6 @@ class Value(ValueFigures, Output):
                 covered = exactly(float(worth.value @ visited))
         yield cls(run.world, worth, covered, known, visited, found, rest, most, tally, lost, alive)
 
-    def as_json(self) -> Json:
-        return self.to_json()
-
     def elements(self) -> Elements:
         beyond = (
             f"visits beyond the {MOST_PASSES}th of a cell find at most {self.remainder:.3g}: the mean includes it, "
@@ -281,6 +201,63 @@ class Value(ValueFigures, Output):
         about = f"Value times the probability that it is not found. {self.left.mean:.4g} of {self.worth.total:.4g}."
         left = self.left_by_cell.reshape(self.world.shape)
         return CellLayer("Value left", about, left, "losses", root=True, blocks="sum", short="Left")
+
+
+# The value output as a sentence and as a table.
+
+
+def amount(value: float) -> str:
+    """A value with four significant digits, or two decimals from 100 on."""
+    return f"{value:,.2f}" if abs(value) >= 100 else f"{value:.4g}"
+
+
+def value_table(value: Value) -> Table:
+    """Value covered, found and left first, then the other figures."""
+    table = make_table(("", "expected", "95 % interval"), "Value of the cells")
+    for row in (*_value_rows(value), *_other_rows(value)):
+        table.add_row(*row)
+    return table
+
+
+def _value_rows(value: Value) -> Iterator[tuple[str, str, str]]:
+    figures = {
+        "value of all free cells": exactly(value.worth.total),
+        "value covered (visited)": value.covered,
+        "value found": value.found,
+        "value left": value.left,
+    }
+    for name, estimate in figures.items():
+        low, high = map(amount, estimate.ci95)
+        yield name, amount(estimate.mean), "exact" if estimate.half_width == 0 else f"{low} .. {high}"
+    if value.route_left is not None:
+        yield "value left on the route", amount(value.route_left[0]), ""
+
+
+def _other_rows(value: Value) -> Iterator[tuple[str, str, str]]:
+    robots = value.tally.robots
+    if value.most is not None:
+        yield "no strategy covers more on average (proven)", amount(value.most), ""
+    yield "ground visited, m2", amount(value.square_metres), ""
+    for name, whole in (("m2", value.square_metres), ("value", value.covered.mean)):
+        ratio = value.per_robot_lost(whole)
+        yield f"{name} covered per robot lost", "no robot is lost" if ratio is None else amount(ratio), ""
+    for least in sorted({1, -(-robots // 2), robots}):
+        mean, interval = value.robots_left[least - 1].columns(100, 100)
+        yield f"chance that {at_least_text(least, robots)} left", f"{mean} %", in_unit(interval)
+    for share, step in times_to(value.tally).items():
+        when = "never" if step is None else f"{step:,}{value.world.pace.also(step)}"
+        yield f"steps to {100 * share:g} % of the cells, on average", when, ""
+        if step is None:
+            break
+    yield f"coverage in the worst {100 * TAIL:g} % of runs (CVaR)", percent(value.cvar, 2), ""
+
+
+def _sentence(value: Value) -> str:
+    """The answer in one sentence."""
+    return (
+        f"Of {amount(value.worth.total)} in all, {amount(value.covered.mean)} are covered and "
+        f"{amount(value.found.mean)} found on average; {amount(value.left.mean)} are left."
+    )
 
 
 def _left(tree: Tree) -> tuple[Estimate, list[Estimate]]:
