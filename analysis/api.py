@@ -562,11 +562,7 @@ def drive(
 
 @takes(MapsOptions)
 def sweep(
-    spec: str | Path,
-    store: str | Path | None = None,
-    *,
-    precision: float | None = None,
-    **options: Unpack[MapsOptions],
+    spec: str | Path, store: str | Path | None = None, *, precision: float | None = None, **options: Unpack[MapsOptions]
 ) -> Sweep:
     """A scenario with lists of settings, on many maps; stored results are reused.
 
@@ -947,10 +943,7 @@ def _reproduction(given: Mapping[str, Any]) -> Reproduction:
     where, store = _where(given), given["store"]
 
     def work(tell: ProgressCallback, doing: Doing) -> Reproduction:
-        with (
-            nullcontext() if store is None else Store.open(Path(store)) as kept,
-            compiling_elsewhere([DEFAULT]),
-        ):
+        with nullcontext() if store is None else Store.open(Path(store)) as kept, compiling_elsewhere([DEFAULT]):
             return reproduce(given["paper"], **count, **where, store=kept, progress=tell)
 
     return _ask(work, given, "jobs")

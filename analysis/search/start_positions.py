@@ -322,11 +322,7 @@ def reached_from(world: World, sites: Sequence[NDArray[np.int64]]) -> Reached:
 
 
 def depots_of(
-    world: World,
-    robots: int,
-    settings: Settings,
-    sites: Sequence[NDArray[np.int64]],
-    reached: Reached,
+    world: World, robots: int, settings: Settings, sites: Sequence[NDArray[np.int64]], reached: Reached
 ) -> list[Place]:
     """Every candidate as a depot, best bound first; `one_robot` is set for the first PLANNED of them."""
     # All robots start at the site, so each misses a cell with the same probability.
