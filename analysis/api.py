@@ -562,11 +562,7 @@ def drive(
 
 @takes(MapsOptions)
 def sweep(
-    spec: str | Path,
-    store: str | Path | None = None,
-    *,
-    precision: float | None = None,
-    **options: Unpack[MapsOptions],
+    spec: str | Path, store: str | Path | None = None, *, precision: float | None = None, **options: Unpack[MapsOptions]
 ) -> Sweep:
     """A scenario with lists of settings, on many maps; stored results are reused.
 
@@ -915,7 +911,8 @@ def check(
     from analysis.checking.check import check_input, make_survey, run_survey
     from analysis.utils.progress import compiling_elsewhere
 
-    choices = _rollouts({**options, "deadline": None}, rollouts=rollouts or (20_000 if mode == "world" else 4096))
+    usual = 20_000 if mode == "world" else 4096
+    choices = _rollouts({**options, "deadline": None}, rollouts=usual if rollouts is None else rollouts)
     if mode == "world":
         of = plan_of(world, plan)  # type: ignore[arg-type]
         return _ask(lambda tell, doing: check_input(*of, choices, tell, bound, theory), options)
@@ -939,16 +936,14 @@ def _reproduction(given: Mapping[str, Any]) -> Reproduction:
     from analysis.utils.progress import compiling_elsewhere
     from planner.policies import DEFAULT
 
-    count = {"maps": given["maps"] or 500, "rollouts": given["rollouts"] or 20, "seed": given["seed"]}
+    usual = {"maps": 500, "rollouts": 20, "seed": 0}
+    count = {name: value if given[name] is None else given[name] for name, value in usual.items()}
     OPTIONS["rollouts"].numbers.check("rollouts", count["rollouts"])
     check_maps(count["maps"], count["seed"])
     where, store = _where(given), given["store"]
 
     def work(tell: ProgressCallback, doing: Doing) -> Reproduction:
-        with (
-            nullcontext() if store is None else Store.open(Path(store)) as kept,
-            compiling_elsewhere([DEFAULT]),
-        ):
+        with nullcontext() if store is None else Store.open(Path(store)) as kept, compiling_elsewhere([DEFAULT]):
             return reproduce(given["paper"], **count, **where, store=kept, progress=tell)
 
     return _ask(work, given, "jobs")

@@ -172,11 +172,7 @@ def home_of(plan: Plan, found: Tally | RolloutResults, loop: str, deadline: int 
 
 
 def make_engine_for(
-    world: World,
-    plan: Plan,
-    choices: RolloutChoices,
-    threats: World | None = None,
-    kept: AllPairs | None = None,
+    world: World, plan: Plan, choices: RolloutChoices, threats: World | None = None, kept: AllPairs | None = None
 ) -> Engine:
     """The engine that the choices name, for the whole run. Raises InputError.
 
@@ -198,11 +194,7 @@ def make_singles(world: World, plan: Plan, choices: RolloutChoices, kept: AllPai
 
 
 def make_roll_out(
-    world: World,
-    plan: Plan,
-    choices: RolloutChoices,
-    threats: World | None = None,
-    kept: AllPairs | None = None,
+    world: World, plan: Plan, choices: RolloutChoices, threats: World | None = None, kept: AllPairs | None = None
 ) -> RollOut:
     """The loop that the choices name, with its tables built once. Arguments as of `make_engine_for`.
 

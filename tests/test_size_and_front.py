@@ -19,7 +19,7 @@ import pytest
 from conftest import FOLDER, load_fixture
 from helpers import after, answer_of, error_of, interrupt_rollouts
 from numpy.typing import NDArray
-from page_reader import Reader, refused
+from page_reader import Reader
 from PIL import Image
 from rich.console import Console
 from scipy.stats import binom
@@ -482,33 +482,6 @@ def test_interrupted_while_a_team_is_rolled_out(monkeypatch: pytest.MonkeyPatch)
     assert size.to_json()["undecided"] == [1]
     assert size.point(1).rollouts == 8192
     assert size_summary(size).endswith(" for every accessible cell visited: undecided: 1.")
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("WORLD", "--target, a fraction"),
-        ("WORLD --target 0", "--target 0"),
-        ("WORLD --target 1.1", "--target 1.1"),
-        ("WORLD --target 90%", "expected a number"),
-        ("WORLD --target 1", "use --complete"),
-        ("WORLD --target 0.9 --complete", "one of them"),
-        ("WORLD --target 0.9 --confidence 1", "--confidence 1"),
-        ("WORLD --target 0.9 --confidence 0", "--confidence 0"),
-        ("WORLD --target 0.9 --most 0", "--most 0"),
-        ("WORLD --target 0.9 --most 1025", "1 to 1024"),
-        ("WORLD --target 0.9 --meaning seen", "visited or survived"),
-        ("WORLD --target 0.9 --plan plan.json", "--plan"),
-        ("WORLD --target 0.9 --robots 3", "--robots"),
-    ],
-)
-def test_wrong_usage_is_one_line_and_status_2(
-    words: str, said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    line = refused(capsys, "size", *(WORLD if word == "WORLD" else word for word in words.split()))
-    assert said.lower() in line.lower()
-    assert list(tmp_path.iterdir()) == []
 
 
 # `mrac-jax front`: what is looked at, what nothing beats, the pick; held against the simulator as Python.

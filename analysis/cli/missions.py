@@ -25,7 +25,6 @@ from analysis.cli.console import (
 from analysis.cli.options import ANY_POLICY, INPUT, PLANNING, THE_TEAM, Given, command, file, of, option
 from analysis.recording.names import SUFFIX, check_name, growing_name, layout_name, left_over, state_name
 from analysis.utils.notes import say
-from planner.arguments import FRACTION, whole
 from planner.errors import UsageError
 from planner.settings import OPTIONS, OUTPUT, ROLLOUTS, TIMELINE
 
@@ -121,30 +120,23 @@ def drive(source: INPUT, /, given: Given) -> int:
     nothing. The command ends if --state cannot be written, and resumes from there. docs/mission.md has all keys.
     """
     from analysis.inputs import check_team
-    from analysis.mission_protocol import Dialogue, DrivenMission
+    from analysis.mission_protocol import Dialogue
     from planner.mission.map_updates import ended
-    from planner.mission.mission import PATIENCE
 
-    state, gain = given.state, given.gain
-    whole(1).check("patience", given.patience, optional=True)
-    FRACTION.check("gain", gain, optional=True)
+    state, goes_on = given.state, given.state is not None and given.state.exists()
     check_files(source, state, suffix=".json", also_read=(given.plan,))
     if sys.stdin is None:
         raise UsageError("standard input is closed", expected="reports there, a JSON object a line")
     asked = given.asked(source)
     world, made, notes = load_or_make_plan(asked, given.plan)
     say(notes)
-    how: dict[str, Any] = {"patience": given.patience or PATIENCE, "gain": 1.0 if gain is None else gain}
-    if state is not None and state.exists():
-        over = ended(state, world, made)
-        if over is not None:
-            _tell([{"type": "end", **over}], world.pace)
-            return DONE
-        mission = DrivenMission.resume(state, world, made, **how)
+    if goes_on and (over := ended(state, world, made)) is not None:
+        _tell([{"type": "end", **over}], world.pace)
+        return DONE
+    mission = given.call(api.drive, world, made, plan=None, state=state if goes_on else None)
+    if goes_on:
         check_team(asked, mission.robots, state)
         say([f"going on from {state}, {world.pace.step(mission.step)}"])
-    else:
-        mission = DrivenMission(world, made, **how)
     if given.outlook:
         mission.require_outlook()  # before any order
     talk = Dialogue(mission, state, lambda: mission.outlook().to_json(), unasked=given.outlook)

@@ -347,8 +347,9 @@ def _option_of(function: Callable[..., Any] | None, name: str) -> Setting:
 
     A text in the docstring that begins with a capital letter is the option's help too.
     """
-    argument, known = None if function is None else signature(function).parameters.get(name), OPTIONS.get(name)
-    text = "" if argument is None or function is None else _arguments_of(function).get(name, "")
+    parameters, texts = ({}, {}) if function is None else _arguments_of(function)
+    argument, known = parameters.get(name), OPTIONS.get(name)
+    text = "" if argument is None else texts.get(name, "")
     help = re.sub(r"`(\w+)`", lambda found: f"--{found[1].replace('_', '-')}", text)
     kind = "" if argument is None else str(argument.annotation)
     if known is not None and not kind.startswith("Sequence[float]"):
@@ -368,10 +369,11 @@ FORMS = {
 
 
 @cache
-def _arguments_of(function: Callable[..., Any]) -> dict[str, str]:
-    """The text of each argument in a docstring."""
+def _arguments_of(function: Callable[..., Any]) -> tuple[Mapping[str, Argument], dict[str, str]]:
+    """The arguments of a function, and the text of each in its docstring."""
     found = re.findall(r"^    (\w[\w, ]*): (.*(?:\n {8}.*)*)", getdoc(function) or "", re.MULTILINE)
-    return {name: " ".join(text.split()) for names, text in found for name in names.split(", ")}
+    texts = {name: " ".join(text.split()) for names, text in found for name in names.split(", ")}
+    return signature(function).parameters, texts
 
 
 def option(

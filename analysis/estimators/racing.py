@@ -313,12 +313,7 @@ class _TimeOver(Exception):
     """Ends the race; it is caught in `plan_best`."""
 
 
-def plan_best(
-    world: World,
-    starts: NDArray[np.int64],
-    settings: Settings,
-    seconds: float | None = None,
-) -> Plan:
+def plan_best(world: World, starts: NDArray[np.int64], settings: Settings, seconds: float | None = None) -> Plan:
     """The plan of the best of `contenders`; its last note names the setting and its gain.
 
     Args:

@@ -217,6 +217,7 @@ def candidate_cells(world: World, given: ArrayLike, source: object = "") -> tupl
 
 
 def _cells(world: World, given: ArrayLike, source: str) -> Cells:
+    """The candidates, sorted. Raises UsageError."""
     name = source or argument("candidates")
     if isinstance(given, str):
         if given != BORDER:
@@ -226,39 +227,23 @@ def _cells(world: World, given: ArrayLike, source: str) -> Cells:
             raise UsageError("no cell on the border of the map is safe", fix="name candidates in a file")
         return found
     array = np.asarray(given)
-    if array.dtype.kind in "fiu" and array.ndim == 2 and array.shape[1] == 2:
-        return _listed(world, array, name)
-    if array.shape != world.shape or array.dtype.kind not in "bfiu":
-        raise UsageError(
-            f"{name}: has shape {array.shape}",
-            expected=f"a mask of the map, {world.shape}, or rows of row,col",
-        )
-    chosen = np.nan_to_num(array.astype(np.float64)) != 0
-    if not chosen.any():
-        raise UsageError(f"{name}: names no cell", expected="a candidate or more")
-    return _checked(world, np.argwhere(chosen), name)
-
-
-def _listed(world: World, array: NDArray, name: str) -> Cells:
-    if not np.isfinite(array).all() or (array != np.round(array)).any() or np.abs(array).max(initial=0) >= 2**31:
+    listed = array.dtype.kind in "fiu" and array.ndim == 2 and array.shape[1] == 2
+    if not listed and (array.shape != world.shape or array.dtype.kind not in "bfiu"):
+        expected = f"a mask of the map, {world.shape}, or rows of row,col"
+        raise UsageError(f"{name}: has shape {array.shape}", expected=expected)
+    if listed and not (np.isfinite(array).all() and (array == np.round(array)).all() and (abs(array) < 2**31).all()):
         raise UsageError(f"{name}: holds numbers that are not cells", expected="row,col in whole numbers")
-    cells = np.unique(array.astype(np.int64), axis=0)
+    # Both orders are by row, then by column.
+    cells = np.unique(array.astype(np.int64), axis=0) if listed else np.argwhere(np.nan_to_num(array) != 0)
     if not len(cells):
         raise UsageError(f"{name}: names no cell", expected="a candidate or more")
-    off = ((cells < 0) | (cells >= world.shape)).any(axis=1)
-    if off.any():
-        row, col = cells[off][0].tolist()
-        height, width = world.shape
-        expected = f"row 0..{height - 1} and col 0..{width - 1}"
-        raise UsageError(f"{name}: [{row}, {col}] lies off the map", expected=expected)
-    return _checked(world, cells, name)
-
-
-def _checked(world: World, cells: Cells, name: str) -> Cells:
-    blocked = ~world.free[tuple(cells.T)]
-    if blocked.any():
-        row, col = cells[blocked][0].tolist()
-        problem = f"{name}: [{row}, {col}] is an obstacle ({int(blocked.sum())} such of {len(cells)})"
+    off = cells[((cells < 0) | (cells >= world.shape)).any(axis=1)]
+    if len(off):
+        expected = f"row 0..{world.shape[0] - 1} and col 0..{world.shape[1] - 1}"
+        raise UsageError(f"{name}: {off[0].tolist()} lies off the map", expected=expected)
+    blocked = cells[~world.free[tuple(cells.T)]]
+    if len(blocked):
+        problem = f"{name}: {blocked[0].tolist()} is an obstacle ({len(blocked)} such of {len(cells)})"
         raise UsageError(problem, expected="free cells", fix="remove it")
     return cells
 
@@ -337,11 +322,7 @@ def reached_from(world: World, sites: Sequence[NDArray[np.int64]]) -> Reached:
 
 
 def depots_of(
-    world: World,
-    robots: int,
-    settings: Settings,
-    sites: Sequence[NDArray[np.int64]],
-    reached: Reached,
+    world: World, robots: int, settings: Settings, sites: Sequence[NDArray[np.int64]], reached: Reached
 ) -> list[Place]:
     """Every candidate as a depot, best bound first; `one_robot` is set for the first PLANNED of them."""
     # All robots start at the site, so each misses a cell with the same probability.

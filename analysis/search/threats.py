@@ -392,15 +392,9 @@ def threats_of(
         raise UsageError(problem, fix=f"use {argument('unit', 'areas')}")
     if not threats:
         raise UsageError(f"{world.source}: no cell that a robot can reach is dangerous", expected="a threat to clear")
-    return remove, threats, _apart(world, remove, things)
-
-
-def _apart(world: World, remove: Remove, things: Sequence[Threat]) -> tuple[str, ...]:
-    """Notes on threats out of reach."""
-    if remove == "areas" or world.sources is None:
-        return ()
-    beyond = len(world.sources.things) - len(things)
-    return (f"{counted(beyond, 'threat')} of the scenario lie out of reach of the robots",) if beyond else ()
+    beyond = 0 if remove == "areas" or world.sources is None else len(world.sources.things) - len(things)
+    out_of_reach = f"{counted(beyond, 'threat')} of the scenario lie out of reach of the robots"
+    return remove, threats, (out_of_reach,) if beyond else ()
 
 
 def _things_of(world: World, starts: NDArray[np.int64]) -> list[Threat]:

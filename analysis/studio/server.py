@@ -625,22 +625,18 @@ class _Handler(RequestHandler):
             raise HTTPError(403, reason="Wrong site")
 
     def write_error(self, status_code: int, **more: Any) -> None:
-        """The reason as JSON, without a traceback."""
+        """The reason as JSON, without a traceback; invalid input has status 400."""
         error = more.get("exc_info", (None, None))[1]
-        said = str(error) if isinstance(error, InputError) else self._reason
+        if isinstance(error, InputError):
+            self.set_status(400)
         # The body of a rejected request may be unread.
         self.set_header("Connection", "close")
-        self.finish({"error": said})
+        self.finish({"error": str(error) if isinstance(error, InputError) else self._reason})
 
     def log_exception(self, kind: Any, value: Any, trace: Any) -> None:
         """Keep rejected requests out of the terminal."""
         if not isinstance(value, HTTPError | InputError):
             super().log_exception(kind, value, trace)
-
-    def send_error(self, status_code: int = 500, **more: Any) -> None:
-        """Answer invalid input with status 400."""
-        bad = isinstance(more.get("exc_info", (None, None))[1], InputError)
-        super().send_error(400 if bad else status_code, **more)
 
 
 class _Page(_Handler):
