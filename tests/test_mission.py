@@ -28,7 +28,7 @@ from planner.settings import Settings
 from planner.simulator.codes import NO_AREA, Doing, EventKind, Outcome
 from planner.tally import Trace
 from planner.world.generate import Stream, ThreatPattern, random_world
-from planner.world.scenario_features import as_planned
+from planner.world.planned_map import as_planned
 from planner.world.start_rule import place_starts
 from planner.world.world import World
 

@@ -11,15 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner.errors import WorldError
-from planner.settings import Settings
 from planner.world.grid import Ground
 from planner.world.keys import CHANCE, PROBABILITY, Key, read_yaml
-from planner.world.moving_threats import FORESIGHTS, JOINED, PLAN_ON, has_threats_of_map, read_moving_threat
+from planner.world.moving_threats import FORESIGHTS, PLAN_ON, has_threats_of_map, read_moving_threat
 from planner.world.robot_types import COMBINE
 from planner.world.threats import all_threats, raster_threat, raster_values
 from planner.world.uncertain_maps import AMOUNTS, HAZARDS, SHARED, SPREADS
-from planner.world.world import OBSTACLES, PLANNED_QUANTILE, SensorRange, World, check_starts
+from planner.world.world import OBSTACLES, PLANNED_QUANTILE, SensorRange, World
 
 KEYS = ("true_map", "prior_map", "sensor_range")
 DETECTS = ("detect", "false_alarm")
@@ -81,49 +79,6 @@ def _sense(key: Key, more: tuple[str, ...]) -> SensorRange:
     if not isinstance(key.value, dict):
         return key.value
     return {name: one.value for name, one in key.mapping(("range", *more), optional=("sight",)).items()}
-
-
-def true_world(world: World) -> World:
-    """The true map as a known map; unchanged if the map is known, or if the true map is drawn."""
-    return replace(world, threat=world.met, knowledge=None)
-
-
-def as_planned(world: World, starts: ArrayLike) -> World:
-    """The known map that robots plan on: the prior map with the cells in sensor range of the starts updated.
-
-    A true map that is drawn updates nothing. A known map is returned unchanged.
-
-    Args:
-        world: the map.
-        starts: `[K, 2]`, (row, col).
-    """
-    known = world.knowledge
-    if known is None:
-        return world
-    threat = world.threat
-    if world.uncertainty is None and known.sense.range > 0:
-        placed = check_starts(starts, known.truth, world.source)
-        cells = placed[:, 0] * world.shape[1] + placed[:, 1]
-        seen = known.sense.views(known.free, np.unique(cells))[1]
-        threat = threat.copy()
-        # Only cells in range of the starts: a plan must not know more than its robots.
-        threat.flat[seen] = known.truth.flat[seen]
-        threat.setflags(write=False)
-    return replace(world, threat=threat, knowledge=None, uncertainty=None)
-
-
-def as_before(world: World) -> World:
-    """The world as releases before 0.4 made it: with `plan_on` "joined" if it was not given.
-
-    Unchanged if they made the same world, or rejected it (p = 1).
-    """
-    if world.movers is None or not world.movers.by_default:
-        return world
-    try:
-        movers = replace(world.movers, by_default=False)
-        return replace(world, threat=movers.planned(JOINED, world.source), uncertainty=movers)
-    except WorldError:
-        return world
 
 
 def read_movers(key: Key, plan_on: Key | None, world: World) -> World:
@@ -262,31 +217,3 @@ def _read_spread(key: Key, world: World, plan_on: float | None) -> World:
     amount = keys[AMOUNT[kind]].number(AMOUNTS)
     by = keys["by"].choice(SHARED) if "by" in keys else SHARED[0]
     return world.with_spread(kind, amount, by, plan_on)
-
-
-# Version of the closed loop's rules: rollouts under different rules are never added up.
-#
-# Release 0.4 changed (docs/spec.md, sections 15, 16, 19, 22): the end of a run with phases and detectors, and with all
-# robots lost on the way to base; ties between areas for several robot types; the default of `plan_on` for moving
-# threats. All else is as in release 0.3, and its results remain usable.
-
-BEFORE, NOW = 1, 2
-"""Versions of the rules: of releases before 0.4, and of release 0.4."""
-RELEASES = {BEFORE: "before 0.4", NOW: "0.4"}
-
-
-def rules_of(world: World, settings: Settings, *, closed: bool = True) -> int:
-    """The last version that changed a rule used by the team's rollouts.
-
-    Args:
-        world: the map.
-        settings: of the plan.
-        closed: for the closed loop.
-    """
-    told = world.phases is not None and world.phases.told
-    mixed = settings.types is not None and not isinstance(settings.types, str) and len(set(settings.types)) > 1
-    by_default = world.movers is not None and world.movers.by_default
-    detects = world.learned_hazard is not None and world.learned_hazard.detector is not None
-    # The nominal run is a closed loop too, and the open loop follows its paths.
-    ends_otherwise = closed and (detects or settings.return_to is not None)
-    return NOW if told or mixed or by_default or ends_otherwise else BEFORE
