@@ -504,8 +504,8 @@ def test_one_sentence_says_what_was_found_and_what_no_strategy_exceeds() -> None
     answer = mrac.evaluate(world, plan, rollouts=64)
     shown, limit = report(answer), answer.bounds.any_strategy
     name, most = shown.headline.split(" on average with ")[1].split("; no strategy exceeds ")
-    name, _, lost = name.partition(", and ")
-    assert lost.startswith("lose ") and "%" not in lost
+    name, _, lost = name.partition(", with ")
+    assert lost.endswith(" of 2 robots lost on average") and "%" not in lost
     assert limit is not None and 0 <= float(most.split(" %")[0]) - 100 * limit.mean <= 0.01
     assert plan.settings is not None and name == policy_text(plan.settings)
     assert not any("No strategy" in line for line in shown.findings)

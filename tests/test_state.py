@@ -476,7 +476,7 @@ def test_masks_and_where_the_robots_are_in_python(tmp_path: Path) -> None:
         ("m.txt", "1,1\n", "no state is read from '.txt'"),
         ("m.npy", "x", "cannot be read as .npy"),
         ("m.png", "x", "cannot be read as an image"),
-        ("m.mcap", "x", "cannot be read as MCAP"),
+        ("m.mcap", "x", "is not an MCAP file"),
     ],
 )
 def test_what_is_no_state(tmp_path: Path, name: str, text: str, said: str) -> None:

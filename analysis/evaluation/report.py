@@ -137,7 +137,7 @@ def headline(evaluation: Evaluation) -> str:
     lost = "no robot can be lost"
     if evaluation.has_danger:
         losses = evaluation.losses
-        lost = f"{robots_text(losses.mean - gone, robots, losses.decimals)}{left} lost on average"
+        lost = f"with {robots_text(losses.mean - gone, robots, losses.decimals)}{left} lost on average"
     if is_best(evaluation.plan) and (settings := evaluation.plan.settings) is not None:
         most = _most(evaluation)
         limit = f"; no strategy exceeds {most} on average ({proven(evaluation)})" * bool(most)
