@@ -20,10 +20,6 @@ from analysis.utils.progress import run_loop
 # An interrupt that is raised where nobody can catch it ends the command all the same; no socket listens meanwhile.
 
 SWALLOWED = """
-import gc, os, signal, sys, time
-import analysis.cli.app
-from mrac_jax.__main__ import main
-
 def callback(phase, info):
     if left and phase == "start":
         left.pop()
@@ -47,13 +43,16 @@ def run():
         time.sleep(0.05)
         gc.collect()
     return 0
-
-analysis.cli.app.run = run
-main()
 """
 
 
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
+
+
+def command(body: str) -> str:
+    """A script in which `run` of this body is the command."""
+    imports = "import gc, os, signal, sys, time\nimport analysis.cli.app\nfrom mrac_jax.__main__ import main\n"
+    return f"{imports}{body}\nanalysis.cli.app.run = run\nmain()\n"
 
 
 def ended(*words: str, **environment: str) -> tuple[int, str, str]:
@@ -66,7 +65,7 @@ def ended(*words: str, **environment: str) -> tuple[int, str, str]:
 
 @pytest.mark.parametrize(("where", "times"), [("collector", 3), ("__del__", 1)])
 def test_a_swallowed_interrupt_is_sent_again(where: str, times: int) -> None:
-    status, said, errors = ended("-c", SWALLOWED, where, str(times))
+    status, said, errors = ended("-c", command(SWALLOWED), where, str(times))
     assert (status, errors) == (130, "interrupted\n") and said.startswith("lost ")
 
 
@@ -89,10 +88,6 @@ def test_interrupted_in_code_that_is_text(tmp_path: Path) -> None:
 
 
 MADE_ANOTHER_ERROR = """
-import os, signal, sys
-import analysis.cli.app
-from mrac_jax.__main__ import main
-
 def run():
     try:
         if sys.argv[1] == "interrupted":
@@ -100,22 +95,16 @@ def run():
         raise KeyboardInterrupt
     except KeyboardInterrupt:
         raise TypeError("no fitting overload") from None
-
-analysis.cli.app.run = run
-main()
 """
 
 
 @pytest.mark.parametrize(("how", "status", "said"), [("interrupted", 130, "interrupted\n"), ("not", 1, "overload\n")])
 def test_an_interrupt_of_which_native_code_makes_another_error(how: str, status: int, said: str) -> None:
-    got, _, errors = ended("-c", MADE_ANOTHER_ERROR, how)
+    got, _, errors = ended("-c", command(MADE_ANOTHER_ERROR), how)
     assert got == status and errors.endswith(said) and (status == 1) == ("Traceback" in errors)
 
 
 SPLITTING = """
-import analysis.cli.app
-from mrac_jax.__main__ import main
-
 def run():
     import numpy as np  # of which some builds begin threads: so after `main` blocked SIGTERM
     from planner.mrac.areas import metis_parts
@@ -123,9 +112,6 @@ def run():
     print("splits", flush=True)
     while True:
         metis_parts((300, 300), np.arange(300 * 300), 7)
-
-analysis.cli.app.run = run
-main()
 """
 SPEC = "base: {kind: contiguous, size: 8x11, ratio: 0.2}\nmaps: 100000\nrollouts: 30\n"
 SWEEP = ENDS_WITH_US + "import sys; sys.argv[0] = 'mrac-jax'; from mrac_jax.__main__ import main; main()"
@@ -178,7 +164,11 @@ def test_ctrl_c_ends_a_sweep_which_opens_no_socket(tmp_path: Path, times: int, s
 @pytest.mark.parametrize("after", [0.2, pytest.param(0.1, marks=pytest.mark.slow)])
 def test_sigterm_is_an_interrupt_while_metis_splits(after: float) -> None:
     splitting = subprocess.Popen(
-        [sys.executable, "-c", SPLITTING], env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", command(SPLITTING)],
+        env=ENVIRONMENT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     try:
         assert splitting.stdout is not None and splitting.stdout.readline() == "splits\n"
@@ -192,10 +182,6 @@ def test_sigterm_is_an_interrupt_while_metis_splits(after: float) -> None:
 # How the process of a command ends: its status, what it prints, and which signals end it.
 
 ENDS = """
-import sys
-import analysis.cli.app
-from mrac_jax.__main__ import main
-
 def run():
     print("said", end="")
     if sys.argv[1] == "returned":
@@ -203,26 +189,17 @@ def run():
     if sys.argv[1] == "exit":
         sys.exit(4)
     raise ValueError("nobody caught it")
-
-analysis.cli.app.run = run
-main()
 """
 WAITS = """
-import signal, sys, time
-import analysis.cli.app
-from mrac_jax.__main__ import main
-
 def run():
     print("waits", flush=True)
     time.sleep(1)
     return 0
 
-analysis.cli.app.run = run
 if sys.argv[1] == "background":
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 else:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-main()
 """
 
 
@@ -230,7 +207,7 @@ main()
     ("how", "status", "said"), [("returned", 3, ""), ("exit", 4, ""), ("raised", 1, "caught it\n")]
 )
 def test_status_and_what_was_printed(how: str, status: int, said: str) -> None:
-    got, out, errors = ended("-c", ENDS, how)
+    got, out, errors = ended("-c", command(ENDS), how)
     assert (got, out) == (status, "said") and errors.endswith(said)
     assert ("Traceback" in errors) == (how == "raised")
 
@@ -250,7 +227,7 @@ def test_a_closed_output_is_told_in_one_line() -> None:
     ],
 )  # fmt: skip
 def test_who_was_told_to_ignore_ctrl_c_does(where: str, sent: signal.Signals, status: int) -> None:
-    words = [sys.executable, "-c", WAITS, where]
+    words = [sys.executable, "-c", command(WAITS), where]
     waiting = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
     try:
         assert waiting.stdout is not None and waiting.stdout.readline() == "waits\n"

@@ -258,24 +258,20 @@ def test_the_interval_of_a_score_holds_it() -> None:
     assert scores_of(np.ones(5), np.ones(5), 1.0) is None
 
 
-WRONG_JUDGE = [
-    jax.jit(lambda seen: jnp.full(1, 7)),
-    jax.jit(lambda seen: jnp.full(1, -1)),
-    jax.jit(lambda seen: seen[:, 0, 0, 0]),
-]
-"""Compiled policies: actions that there are not."""
-
-
-@pytest.mark.parametrize("wrong", WRONG_JUDGE)
-def test_a_compiled_policy_s_actions_are_checked(wrong: object) -> None:
-    with pytest.raises(mrac.InputError, match="the policy returned actions"):
-        roll_policy(CoverageEnv(CORRIDOR, 1), wrong, 9, 8)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("wrong", [lambda seen: 3, lambda seen: [7], lambda seen: [0.5], jax.jit(lambda seen: seen), 5])
-def test_what_is_no_policy_is_refused(wrong: object) -> None:
-    with pytest.raises(mrac.InputError):
-        mrac.judge(CORRIDOR, wrong, 1, rollouts=2)  # type: ignore[arg-type]
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (jax.jit(lambda seen: jnp.full(1, 7)), "the policy returned actions"),
+        (jax.jit(lambda seen: jnp.full(1, -1)), "the policy returned actions"),
+        (jax.jit(lambda seen: seen[:, 0, 0, 0]), "the policy returned actions"),
+        (jax.jit(lambda seen: seen), None), (lambda seen: 3, None), (lambda seen: [7], None),
+        (lambda seen: [0.5], None), (5, None),
+    ],
+)  # fmt: skip
+def test_what_is_no_policy_is_refused(wrong: object, said: str | None) -> None:
+    """Compiled ones, whose actions there are not, and others."""
+    with pytest.raises(mrac.InputError, match=said):
+        mrac.judge(CORRIDOR, wrong, 1, rollouts=8)  # type: ignore[arg-type]
 
 
 def test_processes_change_no_figure() -> None:

@@ -255,11 +255,11 @@ def test_columns_of_a_map_are_those_of_its_runs() -> None:
     assert results is not None
     facts = {
         "cells": {"accessible": 19, "free": 19, "dangerous": 6},
-        "exact": dict.fromkeys(("visited", "survived"), 0),
+        "exact": dict.fromkeys(("visited", "survived", "time"), 0),
     }
     facts |= {"robots": 4, "longest": 90, "ideal_team": None}
     run = Run("key", {}, facts, ((0, 500),), sums_of(tally))
-    columns, runs = columns_of(run, tally, "closed", 19), runs_of(tally, 19)
+    columns, runs = columns_of(run, tally, "closed"), runs_of(tally, 19)
     assert columns["controls", "closed", "visited_free"][0] == pytest.approx(columns["run", "closed", "visited_free"])
     assert columns["run", "closed", "visited_free"] == pytest.approx(results.visited.mean() / 19)
     assert columns["square", "closed", "survived"] == pytest.approx(((results.survived / 19) ** 2).mean())

@@ -900,25 +900,6 @@ def test_so_many_robots_are_the_first_of_those_that_the_input_places(tmp_path: P
         held_against(row, world, mrac.plan(world, starts=starts))
 
 
-REFUSED = {
-    "count: 2, radio: 3": "team.yaml robots=3: a sweep with radio; leave radio out",
-    "count: 2, steps_per_move: [1, 2]": "a sweep with steps_per_move",
-    "count: 2, matrix: {a: {x: 2}}, types: a": "a sweep with types",
-    "count: 2, range: [9, 8]": "range of 2 robots for a team of 3; expected one number",
-    "count: 2, hazard_multiplier: [1, 3]": "hazard_multiplier of 2 robots for a team of 3; expected one number",
-    "starts: [[0, 3], [4, 0]]": "robots=3 contradicts the 2 starts of .*team.yaml; leave robots out",
-}
-
-
-@pytest.mark.parametrize("block", REFUSED)
-def test_what_another_team_cannot_have_is_found_before_the_first_rollout(block: str, tmp_path: Path) -> None:
-    TRUE.save(tmp_path / "true.npz")
-    (tmp_path / "team.yaml").write_text(f"map: true.npz\nrobots: {{{block}}}\n")
-    (tmp_path / "try.yaml").write_text("base: {input: team.yaml}\nsweep: {robots: [3]}\n")
-    with pytest.raises(InputError, match=rf"try.yaml: sweep.robots: .*{REFUSED[block]}"):
-        read_spec(tmp_path / "try.yaml")
-
-
 def test_random_maps_are_gone_on_with(tmp_path: Path) -> None:
     """All of them look alike to robots that know nothing, and yet each is a run of its own."""
     text = "base: {size: 6x8, robots: 2, prior_map: {p: 0.04}}\nmaps: %d\nseed: 3\nsweep: {sensor_range: [1, 2]}"
@@ -972,27 +953,35 @@ def test_null_leaves_a_key_out_and_names_are_shown(tmp_path: Path) -> None:
     assert read_spec(tmp_path / "try.yaml").labels(0, 0) == {"moving_threats": "null"}
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("sweep: {sensor_range: [1]}", "sweep.sensor_range: .*random map: .*a sensor range has no effect"),
-        ("base: {prior_map: {p: 0.04}}\nsweep: {sensor_range: [1, 0.5]}", "sweep.sensor_range: .*from 1 on"),
-        ("base: {sensor_range: 0}\nsweep: {prior_map: [{p: 0.04}]}", "wrong about an obstacle"),
-        ("sweep: {plan_on: [own]}", "none without moving_threats"),
-        ("sweep: {prior_map.p: [0.1]}", "there is no prior_map.p to sweep"),
-        ("sweep: {moving_threats: [[{walk: 0.5, h: often}]]}", "threats"),
-        ("sweep: {moving_threats: [[{walk: 0.5, h: threats, count: 2}]]}", "count"),
-        ("sweep: {latent_hazard: [{kind: consumed, learn: often}]}", "learn` is 'often'"),
-        (
-            "base: {phases: [{from: 0, threats: []}]}\nsweep: {latent_hazard: [{kind: consumed}]}",
-            "none together with latent_hazard",
-        ),
-        ("base: {input: true.npz}\nsweep: {true_map: [none.npz]}", "none.npz"),
-    ],
-)
-def test_what_is_wrong_is_said_before_the_first_rollout(text: str, words: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=words):
-        swept_unsaid(tmp_path, text, 10)
+OF_THREE = "base: {input: team.yaml}\nsweep: {robots: [3]}"
+REFUSED = [
+    ("count: 2, radio: 3", OF_THREE, "team.yaml robots=3: a sweep with radio; leave radio out"),
+    ("count: 2, steps_per_move: [1, 2]", OF_THREE, "a sweep with steps_per_move"),
+    ("count: 2, matrix: {a: {x: 2}}, types: a", OF_THREE, "a sweep with types"),
+    ("count: 2, range: [9, 8]", OF_THREE, "range of 2 robots for a team of 3; expected one number"),
+    ("count: 2, hazard_multiplier: [1, 3]", OF_THREE, "hazard_multiplier of 2 robots for a team of 3; expected one"),
+    ("starts: [[0, 3], [4, 0]]", OF_THREE, "robots=3 contradicts the 2 starts of .*team.yaml; leave robots out"),
+    ("", "sweep: {sensor_range: [1]}", "sweep.sensor_range: .*random map: .*a sensor range has no effect"),
+    ("", "base: {prior_map: {p: 0.04}}\nsweep: {sensor_range: [1, 0.5]}", "sweep.sensor_range: .*from 1 on"),
+    ("", "base: {sensor_range: 0}\nsweep: {prior_map: [{p: 0.04}]}", "wrong about an obstacle"),
+    ("", "sweep: {plan_on: [own]}", "none without moving_threats"),
+    ("", "sweep: {prior_map.p: [0.1]}", "there is no prior_map.p to sweep"),
+    ("", "sweep: {moving_threats: [[{walk: 0.5, h: often}]]}", "threats"),
+    ("", "sweep: {moving_threats: [[{walk: 0.5, h: threats, count: 2}]]}", "count"),
+    ("", "sweep: {latent_hazard: [{kind: consumed, learn: often}]}", "learn` is 'often'"),
+    ("", "base: {phases: [{from: 0, threats: []}]}\nsweep: {latent_hazard: [{kind: consumed}]}",
+     "none together with latent_hazard"),
+    ("", "base: {input: true.npz}\nsweep: {true_map: [none.npz]}", "none.npz"),
+]  # fmt: skip
+"""The robots of team.yaml, a sweep, and what is wrong with it."""
+
+
+@pytest.mark.parametrize(("robots", "text", "words"), REFUSED)
+def test_what_is_wrong_is_said_before_the_first_rollout(robots: str, text: str, words: str, tmp_path: Path) -> None:
+    TRUE.save(tmp_path / "true.npz")
+    (tmp_path / "team.yaml").write_text(f"map: true.npz\nrobots: {{{robots}}}\n")
+    with pytest.raises(InputError, match=rf"try.yaml: {'sweep.robots: ' if robots else ''}.*{words}"):
+        read_spec(spec_file(tmp_path, text))
 
 
 def test_the_maps_threats_leave_it_and_walk() -> None:

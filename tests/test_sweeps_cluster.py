@@ -78,11 +78,10 @@ def test_a_scheduler_that_asks_for_a_key(tmp_path: Path) -> None:
     subprocess.run([*make, *names], check=True, capture_output=True)
     address, running = begin_cluster("tls", "--tls-ca-file", cert, "--tls-cert", cert, "--tls-key", key)
     try:
-        with dask.config.set(key_files(cert, cert, key)), Store() as store:
-            run_cases(jobs_of(maps=2), store, scheduler=address)
-            assert contents(store) == swept(jobs_of(maps=2), processes=1)
-        with Store() as store, pytest.raises(UsageError, match="no scheduler responds"):
-            run_cases(jobs_of(), store, scheduler=address.replace("tls", "tcp"))
+        with dask.config.set(key_files(cert, cert, key)):
+            assert swept(jobs_of(maps=2), scheduler=address) == swept(jobs_of(maps=2), processes=1)
+        with pytest.raises(UsageError, match="no scheduler responds"):
+            swept(jobs_of(), scheduler=address.replace("tls", "tcp"))
     finally:
         end_cluster(running)
 
@@ -91,30 +90,30 @@ def test_tls_without_keys_says_what_is_missing(tmp_path: Path) -> None:
     none = str(tmp_path / "none.pem")
     for files, said in ((key_files(None, None, None), "TLS"), (key_files(none, none, none), "No such file")):
         told = pytest.raises(UsageError, match=rf"tls://127.0.0.1:9: no scheduler .*{said}.*client.key")
-        with dask.config.set(files), Store() as store, told:
-            run_cases(jobs_of(), store, scheduler="tls://127.0.0.1:9")
+        with dask.config.set(files), told:
+            swept(jobs_of(), scheduler="tls://127.0.0.1:9")
 
 
-def test_a_scheduler_and_its_worker_in_this_process() -> None:
-    local = distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=None
-    )
+@pytest.fixture(scope="module")
+def local() -> Iterator[Any]:
+    """A scheduler and its worker in this process."""
+    how = {"processes": False, "protocol": "tcp", "dashboard_address": None}
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, **how) as cluster:
+        yield cluster
+
+
+def test_a_scheduler_and_its_worker_in_this_process(local: Any) -> None:
+    """By its address, and by a client, which stays open."""
     right = swept(jobs_of(maps=2), processes=1)
-    with local, Store() as store:
-        run_cases(jobs_of(maps=2), store, scheduler=local.scheduler_address)
-        assert contents(store) == right
-        client = distributed.Client(local, set_as_default=False)
-        for _ in range(2):  # it stays open
-            with Store() as store:
-                run_cases(jobs_of(maps=2), store, scheduler=client)
-                assert contents(store) == right
-        client.close()
-        for wrong in (client, 3):
-            with Store() as store, pytest.raises(UsageError, match="expected the address of a dask scheduler, or a"):
-                run_cases(jobs_of(maps=2), store, scheduler=wrong)
+    with distributed.Client(local, set_as_default=False) as client:
+        for scheduler in (local.scheduler_address, client, client):
+            assert swept(jobs_of(maps=2), scheduler=scheduler) == right
+    for wrong in (client, 3):
+        with pytest.raises(UsageError, match="expected the address of a dask scheduler, or a"):
+            swept(jobs_of(maps=2), scheduler=wrong)
 
 
-def test_a_sweep_in_python_takes_a_scheduler(tmp_path: Path) -> None:
+def test_a_sweep_in_python_takes_a_scheduler(tmp_path: Path, local: Any) -> None:
     """An address, in a notebook's thread with its own loop too, or a client: the same bytes as without."""
     (tmp_path / "s.yaml").write_text(
         "base: {kind: contiguous, size: 6x7}\nmaps: 2\nrollouts: 20\nsweep: {robots: [1, 2]}\n"
@@ -124,16 +123,11 @@ def test_a_sweep_in_python_takes_a_scheduler(tmp_path: Path) -> None:
         files = mrac.sweep(tmp_path / "s.yaml", tmp_path / f"{name}.store", progress=False, **how).save(tmp_path / name)
         return next(file.read_bytes() for file in files if file.suffix == ".csv")
 
-    async def in_a_loop(address: str) -> bytes:
-        return rows("loop", scheduler=address)
+    async def in_a_loop() -> bytes:
+        return rows("loop", scheduler=local.scheduler_address)
 
-    local = distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=None
-    )
-    with local, distributed.Client(local, set_as_default=False) as client:
-        right = rows("here", processes=1)
-        assert rows("client", scheduler=client) == right
-        assert asyncio.run(in_a_loop(local.scheduler_address)) == right
+    with distributed.Client(local, set_as_default=False) as client:
+        assert rows("here", processes=1) == rows("client", scheduler=client) == asyncio.run(in_a_loop())
 
 
 @pytest.mark.slow
@@ -170,6 +164,6 @@ def test_no_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
         addresses = [f"tcp://127.0.0.1:{silent.getsockname()[1]}", "tcp://127.0.0.1:9", "no address at all"]
         for address in addresses:
             clock = time.monotonic()
-            with Store() as store, pytest.raises(UsageError, match=r"^scheduler .*(no scheduler|an address)"):
-                run_cases(jobs_of(), store, scheduler=address)
+            with pytest.raises(UsageError, match=r"^scheduler .*(no scheduler|an address)"):
+                swept(jobs_of(), scheduler=address)
             assert time.monotonic() - clock < 4

@@ -27,7 +27,7 @@ from analysis.statistics import variance_reduction as control_variate
 from analysis.statistics.estimates import Estimate, over_maps
 from analysis.sweeps.cases import check_maps, generated_case
 from analysis.sweeps.engine import Done, Finished, Job, Swept, run_cases
-from analysis.sweeps.results import KEPT, figures_of
+from analysis.sweeps.results import KEPT, exact_of, figures_of, unit_of
 from analysis.sweeps.store import Run, Store
 from analysis.utils.notes import ProgressCallback
 from analysis.utils.tables import csv_text, make_table
@@ -88,26 +88,28 @@ class Point:
         return float(np.sqrt(max(square - mean**2, 0.0)))
 
 
-def columns_of(run: Run, tally: Tally, loop: str, free: int) -> dict[Key, Any]:
-    """Figures of one map's rollouts of a loop, from a run and its tally; `free`: free cells of its map.
+def columns_of(run: Run, tally: Tally, loop: str) -> dict[Key, Any]:
+    """Figures of one map's rollouts of a loop, from a run and its tally; and those of the open loop.
 
     run, square: mean and mean square of single runs, of each of COVERAGE (fractions) and "time" (steps). share: of runs
     that cover no more of the free cells ("coverage"), or take no longer ("time"), than the run of Fig. 4 with the same
-    number of robots. controls, errors: see `analysis.statistics.variance_reduction.with_controls`.
+    number of robots. controls, errors: see `analysis.statistics.variance_reduction.with_controls`. mean: the open
+    loop's expectations, and the upper bound of the team.
     """
     found: dict[Key, Any] = {}
     means, errors = figures_of(run)
+    assert run.sums is not None
     for figure in (*COVERAGE, "time"):
-        counts = tally.time if figure == "time" else getattr(tally, figure.removesuffix("_free"))
-        unit = 1.0 if figure == "time" else 1.0 / (free if figure.endswith("_free") else tally.accessible)
-        often, values = counts.astype(np.float64), np.arange(len(counts)) * unit
-        found["run", loop, figure] = float(often @ values) / tally.rollouts
-        found["square", loop, figure] = float(often @ values**2) / tally.rollouts
-        place = KEPT[figure.replace("_free", "_of_free")]
-        found["controls", loop, figure], found["errors", loop, figure] = means[place], errors[place]
+        name = figure.replace("_free", "_of_free")
+        unit, (first, second) = unit_of(run, name), run.sums[figure.removesuffix("_free")]
+        found["run", loop, figure] = first * unit / run.rollouts
+        found["square", loop, figure] = second * unit**2 / run.rollouts
+        found["controls", loop, figure], found["errors", loop, figure] = means[KEPT[name]], errors[KEPT[name]]
+        found["mean", "open", figure] = exact_of(run, name)
+    found["mean", "ideal", "visited"] = means[KEPT["ideal"], 0]
     if tally.robots in FIGURE4:
         coverage, steps = FIGURE4[tally.robots]
-        cells = int(np.floor(coverage * free + 0.5))
+        cells = int(np.floor(coverage * run.facts["cells"]["free"] + 0.5))
         found["share", loop, "coverage"] = float(tally.visited[: cells + 1].sum()) / tally.rollouts
         found["share", loop, "time"] = float(tally.time[: steps + 1].sum()) / tally.rollouts
     return found
@@ -352,9 +354,8 @@ class _Collected:
         for loop, key in zip(("closed", "first"), done.keys, strict=True):
             run, tally = self.store.run(key), self.store.tally(key)
             assert run is not None and tally is not None
-            free, accessible = run.facts["cells"]["free"], run.facts["cells"]["accessible"]
-            columns |= columns_of(run, tally, loop, free) | _exact_columns(run.facts, free, accessible)
-            singles.append(runs_of(tally, free))
+            columns |= columns_of(run, tally, loop)
+            singles.append(runs_of(tally, run.facts["cells"]["free"]))
         self.found.setdefault(self.settings[place], {})[number] = (columns, singles[0])
 
     def points(self, rollouts: int) -> tuple[dict[Setting, Point], int]:
@@ -417,16 +418,6 @@ def _jobs(settings: tuple[Setting, ...], maps: int, rollouts: int, seed: int) ->
     for tag, (number, one) in enumerate(itertools.product(range(seed, seed + maps), settings)):
         models = tuple(RolloutChoices(seed=number, first_only=only) for only in (False, True))
         yield Job(generated_case(one.kind, one.ratio, one.robots, number), models, rollouts, tag)
-
-
-def _exact_columns(facts: Json, free: int, accessible: int) -> Columns:
-    """The open loop's expectations and the upper bound of the team."""
-    exact, columns = facts["exact"], Columns()
-    for figure in COVERAGE:
-        cells = free if figure.endswith("_free") else accessible
-        columns["mean", "open", figure] = exact[figure.removesuffix("_free")] / cells
-    ideal = facts["ideal_team"] / accessible
-    return columns | {("mean", "open", "time"): exact["time"], ("mean", "ideal", "visited"): ideal}
 
 
 def _point(setting: Setting, found: list[tuple[Columns, Runs]], rollouts: int) -> Point:

@@ -323,17 +323,12 @@ def setting_of(what: Mapping[str, Label]) -> str:
     return canonical({name: value for name, value in what.items() if name not in (*MAP_LABELS, RULES)})
 
 
-class EarlierRuns:
-    """Finds a store's runs with earlier rules. `settings`: those with runs by the latest rules."""
-
-    def __init__(self, store: Store) -> None:
-        self.settings = {setting_of(what) for what in store.labels() if what.get(RULES) == LATEST}
-
-    def labelled(self, run: Run) -> Run:
-        """The run, with the label EARLIER if it follows earlier rules."""
-        if RULES in run.what or setting_of(run.what) not in self.settings:
-            return run
-        return replace(run, what=run.what | {RULES: EARLIER})
+def runs_by_rules(store: Store) -> Iterator[Run]:
+    """All runs; those by earlier rules than others of their setting get the label EARLIER."""
+    latest = {setting_of(what) for what in store.labels() if what.get(RULES) == LATEST}
+    for run in store.runs():
+        is_earlier = RULES not in run.what and setting_of(run.what) in latest
+        yield replace(run, what=run.what | {RULES: EARLIER}) if is_earlier else run
 
 
 def follows_earlier_rules(run: Run, store: Store, homes: dict[str, bool]) -> bool | None:

@@ -41,11 +41,6 @@ SHOWN_ROWS, PAGE_ROWS = 200, 2000
 """Rows of a table on the terminal, and on a page; CSV and JSON have all rows."""
 
 
-def report(answer: Sweep | Results) -> Report:
-    """The rows, and for a sweep its progress and precision."""
-    return of_sweep(answer) if isinstance(answer, Sweep) else of_results(answer)
-
-
 def of_sweep(sweep: Sweep) -> Report:
     """The lowest and highest coverage of the settings; the rows; curves over the settings."""
     spec, rows = sweep.spec, sweep.rows

@@ -28,7 +28,7 @@ from analysis.statistics.variance_reduction import (
 )
 from analysis.statistics.variance_reduction import FIGURES as BESIDE_LUCK
 from analysis.sweeps.cases import RULES, Label, format_label
-from analysis.sweeps.engine import EARLIER, MAP_LABELS, EarlierRuns, earlier_note, follows_earlier_rules
+from analysis.sweeps.engine import EARLIER, MAP_LABELS, earlier_note, follows_earlier_rules, runs_by_rules
 from analysis.sweeps.spec import WORLD, is_path
 from analysis.sweeps.store import Run, Store
 from planner.arguments import MAX_STEP, MOST_ROLLOUTS, argument, check_word
@@ -404,7 +404,7 @@ class Results(Result):
         store: its file. runs: number of runs in the rows. pooled: labels that vary within rows.
     """
 
-    reported_by = "analysis.sweeps.report:report"
+    reported_by = "analysis.sweeps.report:of_results"
     listed, partial = "settings", False
 
     store: str
@@ -434,8 +434,7 @@ def parse_where(texts: Iterable[str]) -> Where:
 
 def select(store: Store, where: Where) -> Iterator[Run]:
     """The runs with rollouts whose labels have a wanted value."""
-    older = EarlierRuns(store)
-    for run in map(older.labelled, store.runs()):
+    for run in runs_by_rules(store):
         fits = all(name in run.what and format_label(run.what[name]) in values for name, values in where.items())
         if fits and run.sums is not None:
             yield run
@@ -454,7 +453,6 @@ def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
     for name in by:
         check_word("by", name, seen)
     # Rules separate rows only if some runs follow earlier rules; these are never averaged with others.
-    # Runs of earlier rules must never be averaged with others.
     apart = EARLIER in seen.get(RULES, ())
     varying = [n for n, values in seen.items() if len(values) > 1 and n not in MAP_LABELS and (n != RULES or apart)]
     wanted = list(dict.fromkeys([*by, RULES] if apart else by)) if by else varying

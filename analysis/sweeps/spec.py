@@ -19,7 +19,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from math import isfinite
 from pathlib import Path
@@ -29,12 +29,12 @@ from analysis.inputs import input_path, map_size
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import MOST_MAPS, SCENARIO_KEYS, Case, Generated, Label, Places, Written, canonical
 from analysis.sweeps.engine import Job
-from planner.arguments import ANY, FRACTION, MOST_ROLLOUTS, Numbers, did_you_mean, whole
+from planner.arguments import ANY, FRACTION, MOST_ROLLOUTS, did_you_mean, whole
 from planner.errors import PER_VISIT, RENAMED, InputError, ScenarioError, UsageError, with_new_names
 from planner.files import Json
 from planner.policies import DEFAULT
 from planner.rollouts.engine import MOST_SEED
-from planner.settings import OPTIONS, Choices, Setting
+from planner.settings import OPTIONS, Choices
 from planner.settings import SETTINGS as PLANNER_SETTINGS
 from planner.world.keys import PLACE, Key, read_yaml
 
@@ -65,45 +65,33 @@ def _input(key: Key) -> str:
     return str(input_path(name)) if name.startswith("example:") else str(key.file("an INPUT, as in `evaluate`"))
 
 
-def _word(*words: str) -> Reader:
-    return lambda key: key.choice(words)
-
-
 def _left(key: Key) -> str:
     raise key.error(f"`{key.path}`: {PER_VISIT}", source=key.source)
 
 
-def _one_of(numbers: Numbers) -> Reader:
-    return lambda key: key.number(numbers)
-
-
-def _of(setting: Setting) -> Reader:
-    return lambda key: key.setting(setting)
-
-
 INPUT: dict[str, Reader] = {"input": _input}
 WORLD: dict[str, Reader] = {
-    "kind": _word("contiguous", "scattered"),
-    "ratio": _one_of(FRACTION),
-    "areas": _one_of(whole(1)),
+    "kind": partial(Key.choice, options=("contiguous", "scattered")),
+    "ratio": partial(Key.number, of=FRACTION),
+    "areas": partial(Key.number, of=whole(1)),
     "threat_levels": _levels,
 }
 """For the paper's random worlds, and for an input's generated threats."""
-PAPER: dict[str, Reader] = {"obstacles": _one_of(FRACTION), "size": _size}
+PAPER: dict[str, Reader] = {"obstacles": partial(Key.number, of=FRACTION), "size": _size}
 """For the paper's random worlds only."""
 UNSAID: dict[str, Reader] = {name: lambda key: key.value for name in SCENARIO_KEYS}
 """Keys of a scenario, for any world; null removes the key."""
 TEAM: dict[str, Reader] = {
-    "robots": _one_of(OPTIONS["robots"].numbers),
+    "robots": partial(Key.number, of=OPTIONS["robots"].numbers),
     "starts": _starts,
     "plan": lambda key: str(key.file("a file")),
 }
-PLANNER: dict[str, Reader] = {name: _of(setting) for name, setting in PLANNER_SETTINGS.items()}
+PLANNER: dict[str, Reader] = {name: partial(Key.setting, setting=setting) for name, setting in PLANNER_SETTINGS.items()}
 MODEL: dict[str, Reader] = {
-    "loop": _word(*OPTIONS["loop"].words),
-    "threat_checks": _word(*OPTIONS["threat_checks"].words),
+    "loop": partial(Key.choice, options=OPTIONS["loop"].words),
+    "threat_checks": partial(Key.choice, options=OPTIONS["threat_checks"].words),
     "luck": _left,
-    "seed": _one_of(OPTIONS["seed"].numbers),
+    "seed": partial(Key.number, of=OPTIONS["seed"].numbers),
 }
 SETTINGS = {**INPUT, **WORLD, **PAPER, **UNSAID, **TEAM, **PLANNER, **MODEL}
 PLACES = ("map", "cell_size", "unknown", "threats", "combine", "true_map", *SCENARIO_KEYS)

@@ -34,7 +34,7 @@ the widest 95 % interval of mean visited coverage, "" before there is one."""
 class Sweep(Swept):
     """The result of a sweep. `rows` are in the order of the settings; partial: interrupted."""
 
-    reported_by = "analysis.sweeps.report:report"
+    reported_by = "analysis.sweeps.report:of_sweep"
     listed = "settings"
 
     spec: Spec
