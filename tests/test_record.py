@@ -36,7 +36,6 @@ from analysis.recording.record import (
     record,
     scenario_text,
 )
-from analysis.recording.viewers import messages as drawn
 from analysis.recording.viewers import topics as colours
 from analysis.recording.viewers.messages import rollout_messages
 from analysis.recording.viewers.topics import (
@@ -181,64 +180,6 @@ def test_it_says_that_it_writes(tmp_path: Path) -> None:
     told: list[str] = []
     record(world, plan, Request(ids=(3, 4), seed=SEED), tmp_path / "r.mcap", doing=told.append)
     assert told == ["writing rollout 1 of 2", "writing rollout 2 of 2", "closing the file"]
-
-
-def test_an_interruption_before_a_rollout_is_complete_leaves_what_was_there(tmp_path: Path) -> None:
-    world, plan = small_task()
-    path = tmp_path / "r.mcap"
-    path.write_bytes(b"older")
-
-    def interrupt(done: int, total: int, seconds: float) -> None:
-        raise KeyboardInterrupt
-
-    request = Request(picks=parse_picks("best"), evaluated=5000, outcomes=True)
-    with pytest.raises(KeyboardInterrupt):
-        record(world, plan, request, path, progress=interrupt)
-    assert path.read_bytes() == b"older"
-    assert sorted(one.name for one in tmp_path.iterdir()) == ["r.mcap"]
-
-
-def interrupt_at(monkeypatch: pytest.MonkeyPatch, rollout: int, message: int) -> None:
-    """Ctrl-C at a message of a rollout, by their numbers."""
-    make, count = drawn.rollout_messages, iter(range(10**9))
-
-    def messages(*given: Any) -> Any:
-        mine = next(count)
-        for number, one in enumerate(make(*given)):
-            if (mine, number) == (rollout, message):
-                raise KeyboardInterrupt
-            yield one
-
-    monkeypatch.setattr("analysis.recording.record.rollout_messages", messages)
-
-
-def test_an_interruption_keeps_the_rollouts_that_are_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    world, plan = small_task()
-    path, request = tmp_path / "r.mcap", Request(ids=(3, 4, 9), seed=SEED)
-    for name in ("r.mcap", "r.interrupted.mcap"):
-        with monkeypatch.context() as patched:
-            interrupt_at(patched, 1, 40)
-            done = record(world, plan, request, path)
-        assert (done.partial, done.path, [row.rollout for row in done.rows]) == (True, tmp_path / name, [3])
-        assert open_log(done.path).partial == "interrupted"
-        assert [one.trace.rollout for one in read_rollouts(done.path)] == [3]
-    before = path.read_bytes()
-    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
-        interrupt_at(patched, 0, 40)
-        record(world, plan, request, path)
-    assert path.read_bytes() == before
-    assert sorted(one.name for one in tmp_path.iterdir()) == ["r.interrupted.mcap", "r.mcap"]
-    whole = record(world, plan, request, path)
-    assert not whole.partial
-    assert not open_log(path).partial
-
-
-def test_a_growing_file_of_an_earlier_run_is_kept(tmp_path: Path) -> None:
-    (tmp_path / "r.mcap.partial").write_bytes(b"precious")
-    with pytest.raises(UsageError, match="recover it with"):
-        small_recording(tmp_path / "r.mcap")
-    assert [one.name for one in tmp_path.iterdir()] == ["r.mcap.partial"]
-    assert (tmp_path / "r.mcap.partial").read_bytes() == b"precious"
 
 
 @pytest.mark.parametrize(
@@ -763,30 +704,18 @@ def strings(value: Any) -> list[str]:
     return [value] if isinstance(value, str) else []
 
 
-def test_every_topic_that_it_names_is_recorded() -> None:
-    named = [text for text in strings(json.loads(layout_json(WORLD, 3))) if re.match(r"/[a-z]", text)]
-    recorded = topic_types()
-    topics = {re.split(r"[.\[]", text)[0] for text in named}
+def test_the_layout_names_what_is_recorded_and_places_every_panel_once() -> None:
+    layout, recorded = json.loads(layout_json(WORLD, 3)), topic_types()
+    named = strings(layout)
+    topics = {re.split(r"[.\[]", text)[0] for text in named if re.match(r"/[a-z]", text)}
     assert topics <= set(recorded), topics - set(recorded)
     assert {"/map/threat", "/map/obstacles", "/areas", "/robots/markers", "/driven", "/stats", "/events"} <= topics
-
-
-def test_every_field_that_it_plots_is_in_the_message() -> None:
-    fields = set(Stats.DESCRIPTOR.fields_by_name)
-    plotted = [text for text in strings(json.loads(layout_json(WORLD, 3))) if text.startswith("/stats.")]
-    assert {re.split(r"[.\[]", text)[1] for text in plotted} <= fields
+    plotted = [text for text in named if text.startswith("/stats.")]
+    assert {re.split(r"[.\[]", text)[1] for text in plotted} <= set(Stats.DESCRIPTOR.fields_by_name)
     assert [text for text in plotted if "doing" in text] == [f"/stats.doing[{robot}]" for robot in range(3)]
-
-
-def test_nothing_is_left_open() -> None:
     assert "null" not in layout_json(WORLD, 3)
-
-
-def test_every_panel_is_placed_once_and_configured() -> None:
-    layout = json.loads(layout_json(WORLD, 3))
     placed = [text for text in strings(layout["layout"]) if "!" in text]
-    assert sorted(placed) == sorted(layout["configById"])
-    assert len(set(placed)) == len(placed)
+    assert sorted(placed) == sorted(layout["configById"]) and len(set(placed)) == len(placed)
 
 
 @pytest.mark.parametrize("shape", [(3, 40), (40, 3), (1, 1)])
@@ -799,14 +728,12 @@ def test_the_map_is_in_view_whichever_way_it_is_turned(shape: tuple[int, int]) -
     assert camera["near"] < camera["distance"] < camera["far"]
 
 
-def test_the_scale_of_threats_ends_at_the_largest() -> None:
-    threat = json.loads(layout_json(WORLD, 1))["configById"]["3D!threat"]["topics"]["/map/threat"]
-    assert threat["maxValue"] == pytest.approx(0.3)
-    safe = World.create(np.zeros((2, 2)))
-    assert json.loads(layout_json(safe, 1))["configById"]["3D!threat"]["topics"]["/map/threat"]["maxValue"] > 0
+def test_the_layout_follows_the_largest_threat_and_the_number_of_robots() -> None:
+    def largest(world: World) -> float:
+        panels = json.loads(layout_json(world, 1))["configById"]
+        return float(panels["3D!threat"]["topics"]["/map/threat"]["maxValue"])
 
-
-def test_many_robots_get_a_panel_of_bounded_size() -> None:
+    assert largest(WORLD) == pytest.approx(0.3) and largest(World.create(np.zeros((2, 2)))) > 0
     panel = json.loads(layout_json(WORLD, 500))["configById"]["StateTransitions!doing"]
     assert len(panel["paths"]) == MOST_STATES
 

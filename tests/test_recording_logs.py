@@ -24,21 +24,10 @@ import zstandard
 from helpers import run_python
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import (
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Message,
-    Schema,
-    Statistics,
-)
 from mcap.writer import CompressionType, Writer
 from recordings import GRID, POSE, TOPICS, Part, Said, heard, parts_of, said_in, sample
 
@@ -308,14 +297,14 @@ def saved(path: Path) -> list[Said] | None:
     return said
 
 
-def sealed(*records: McapRecord, summary: tuple[McapRecord, ...] = (), start: int | None = None) -> bytes:
+def sealed(*parts: records.McapRecord, summary: tuple[records.McapRecord, ...] = (), start: int | None = None) -> bytes:
     """A file of these records whose checksums are all right; `start`: what the footer says."""
     data, tail = RecordBuilder(), RecordBuilder()
     data.write(MAGIC)
-    for record in (Header("", "x"), *records):
+    for record in (records.Header("", "x"), *parts):
         record.write(data)
     body = data.end()
-    DataEnd(zlib.crc32(body)).write(data)
+    records.DataEnd(zlib.crc32(body)).write(data)
     body += data.end()
     for record in summary:
         record.write(tail)
@@ -323,25 +312,25 @@ def sealed(*records: McapRecord, summary: tuple[McapRecord, ...] = (), start: in
     at = len(body) if start is None else start
     head = struct.pack("<BQQQ", Opcode.FOOTER, 20, at, 0)
     claimed = (body + described)[at:] if at <= len(body + described) else b""
-    Footer(at, 0, zlib.crc32(head, zlib.crc32(claimed))).write(tail)
+    records.Footer(at, 0, zlib.crc32(head, zlib.crc32(claimed))).write(tail)
     return body + described + tail.end() + MAGIC
 
 
-def chunk_of(*records: McapRecord, compression: str = "zstd", **changed: object) -> Chunk:
+def chunk_of(*parts: records.McapRecord, compression: str = "zstd", **changed: object) -> records.Chunk:
     builder = RecordBuilder()
-    for record in records:
+    for record in parts:
         record.write(builder)
     plain = builder.end()
     packed = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}.get(compression, bytes)(plain)
-    chunk = Chunk(compression, packed, 0, 0, zlib.crc32(plain), len(plain))
+    chunk = records.Chunk(compression, packed, 0, 0, zlib.crc32(plain), len(plain))
     for name, value in changed.items():
         setattr(chunk, name, value)
     return chunk
 
 
-SCHEMA = Schema(1, b"{}", "jsonschema", "a")
-CHANNEL = Channel(1, "/x", "json", {}, 1)
-SAYS = Message(1, 0, b"hello", 0, 0)
+SCHEMA = records.Schema(1, b"{}", "jsonschema", "a")
+CHANNEL = records.Channel(1, "/x", "json", {}, 1)
+SAYS = records.Message(1, 0, b"hello", 0, 0)
 SAID: list[Said] = [("/x", 0, 0, b"hello")]
 INSIDE = chunk_of(SCHEMA, CHANNEL, SAYS)
 
@@ -433,7 +422,7 @@ def test_without_checksums_still_only_clear_errors(
         (chunk_of(SCHEMA, CHANNEL, SAYS, compression="", data=b"\x05" + bytes(40)), "crc validation failed"),
     ],
 )
-def test_chunks_that_are_wrong(tmp_path: Path, chunk: Chunk, problem: str) -> None:
+def test_chunks_that_are_wrong(tmp_path: Path, chunk: records.Chunk, problem: str) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(sealed(chunk))
     with pytest.raises(InputError, match=f"truncated or damaged: .*({problem})"):
@@ -450,8 +439,8 @@ def test_summaries_that_point_anywhere(tmp_path: Path) -> None:
         path.write_bytes(sealed(INSIDE, summary=(SCHEMA,), start=start))
         assert read(path) in (None, SAID) and saved(path) == SAID
     for offsets in ([27, 27, 28], [8, 8], [30, 29, 28, 27], [0], [2**63], [*range(8, 120)], [27, 60]):
-        indexes = [ChunkIndex(2**63, at, "zstd", 1, 0, 0, {1: at}, 0, 1) for at in offsets]
-        told = Statistics(0, 1, {1: 99}, len(set(offsets)), 99, 0, 0, 0, 1)
+        indexes = [records.ChunkIndex(2**63, at, "zstd", 1, 0, 0, {1: at}, 0, 1) for at in offsets]
+        told = records.Statistics(0, 1, {1: 99}, len(set(offsets)), 99, 0, 0, 0, 1)
         path.write_bytes(sealed(INSIDE, INSIDE, summary=(SCHEMA, CHANNEL, told, *indexes)))
         assert read(path) == saved(path) == SAID * 2
 
@@ -508,11 +497,11 @@ def test_bombs_end_in_a_clear_error_where_memory_is_limited(tmp_path: Path) -> N
     for compression in ("zstd", "lz4"):
         packed = bomb(compression, size)
         for claimed in (size, 2**25, 2**60):
-            big = Chunk(compression, packed, 0, 0, 1, claimed)
+            big = records.Chunk(compression, packed, 0, 0, 1, claimed)
             (tmp_path / f"{compression}-{claimed}.mcap").write_bytes(sealed(big, INSIDE, summary=(SCHEMA, CHANNEL)))
     frame = bytearray(zstandard.compress(bytes(300)))
     huge = frame[:4] + bytes([0xE0]) + (2**62).to_bytes(8, "little") + frame[7:]
-    (tmp_path / "frame.mcap").write_bytes(sealed(Chunk("zstd", bytes(huge), 0, 0, 1, 300), INSIDE))
+    (tmp_path / "frame.mcap").write_bytes(sealed(records.Chunk("zstd", bytes(huge), 0, 0, 1, 300), INSIDE))
     told = run_python(LIMITED, str(tmp_path)).splitlines()
     assert len(told) == 7 and {line.split(maxsplit=1)[1] for line in told} == {"refused 1"}
 

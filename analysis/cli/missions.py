@@ -208,7 +208,14 @@ def record(source: INPUT, /, given: Given) -> int:
 
     out, plan, state, state_at = given.out, given.plan, given.state, given.state_at
     cut_to = None if state_at is None else state_name(out)
-    check_outputs(source, (plan, state), out, given.picture, given.animation, cut_to)
+    # Refuse files that cannot be written, have a wrong suffix, or are an input, before any work.
+    for one, suffix in ((out, SUFFIX), (given.picture, ".png"), (given.animation, ".gif")):
+        if one is not None:
+            check_name(one, suffix)
+    check_files(source, out, layout_name(out), given.picture, given.animation, cut_to, also_read=(plan, state))
+    growing = growing_name(out)
+    if growing.is_symlink() or growing.exists():
+        raise left_over(growing)
     if not may_replace(out, given.force):
         return DONE
     if plan is None:
@@ -277,24 +284,6 @@ def nothing_recorded(out: Path) -> str:
     if growing.exists():
         return f"interrupted: {growing} holds the rollouts so far; `mrac-jax inspect --repair OUT {growing}` saves them"
     return "interrupted: nothing was recorded"
-
-
-def check_outputs(
-    source: str,
-    also_read: tuple[Path | None, ...],
-    out: Path,
-    picture: Path | None,
-    animation: Path | None,
-    cut_to: Path | None,
-) -> None:
-    """Refuse files that cannot be written, have a wrong suffix, or are an input, before any work."""
-    for one, suffix in ((out, SUFFIX), (picture, ".png"), (animation, ".gif")):
-        if one is not None:
-            check_name(one, suffix)
-    check_files(source, out, layout_name(out), picture, animation, cut_to, also_read=also_read)
-    growing = growing_name(out)
-    if growing.is_symlink() or growing.exists():
-        raise left_over(growing)
 
 
 @command(

@@ -21,16 +21,7 @@ from typing import Any, NamedTuple
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.reader import FOOTER_SIZE, NonSeekingReader, SeekingReader
-from mcap.records import (
-    Attachment,
-    Channel,
-    Chunk,
-    DataEnd,
-    McapRecord,
-    Message,
-    Metadata,
-    Schema,
-)
+from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.summary import Summary
 from mcap.writer import ChunkBuilder, Writer
@@ -149,12 +140,11 @@ class LogWriter:
         self._writer = Writer(self._stream, chunk_size=self._chunk_size, enable_data_crcs=True)
         # The library has no public option for this; the attribute is the same from its release 1.2 on.
         self._writer._Writer__chunk_builder = SelfContainedChunks()
-        if threading.current_thread() is threading.main_thread():
-            self._handlers = {
-                one: signal.signal(one, self._interrupted) for one in ENDING if callable(signal.getsignal(one))
-            }
         with self._writing():
             self._writer.start(library=LIBRARY)
+        ours = threading.current_thread() is threading.main_thread()
+        held = [one for one in ENDING if ours and callable(signal.getsignal(one))]
+        self._handlers = {one: signal.signal(one, self._interrupted) for one in held}
         return self
 
     def __exit__(
@@ -464,7 +454,7 @@ def pieces(data: mmap.mmap) -> Iterator[Piece | Lost]:
                 if work < 0 or (found := piece_at(data, sign.start())):
                     break
                 # Bound the cost of false starts, so that the time stays linear.
-                work -= min(struct.unpack_from("<Q", data, sign.start() + 1)[0], len(data))
+                work -= end_of(data, sign.start()) - sign.start()
             end = found.start if found else len(data)
             yield Lost(VALUED.get(data[at], "unreadable bytes" if found else "the end of the file"), at, end)
             if found is None:
@@ -476,11 +466,17 @@ def pieces(data: mmap.mmap) -> Iterator[Piece | Lost]:
     yield Lost("the end of the file", at, at)
 
 
+def end_of(data: mmap.mmap, start: int) -> int:
+    """The end of the record that starts at an offset, by its length; `start` if the file ends before."""
+    end = start + 9 + int.from_bytes(data[start + 1 : start + 9], "little")
+    return end if end <= len(data) else start
+
+
 def piece_at(data: mmap.mmap, start: int) -> Piece | None:
     """The intact record that starts at an offset, if there is one."""
     # Invalid bytes make the library and the decompressors raise errors of many kinds.
     with suppress(Exception):
-        end = start + 9 + struct.unpack_from("<Q", data, start + 1)[0]
+        end = end_of(data, start)
         body, inside = data[start:end], []
         record = next(StreamReader(io.BytesIO(body), skip_magic=True, emit_chunks=True).records)
         if isinstance(record, Chunk):

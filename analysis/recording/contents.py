@@ -217,6 +217,7 @@ def _short(error: object) -> str:
 
 MOST_VALUES, MOST_EVENTS = 2**25, 2**22
 """Limits of the numbers of one rollout's steps (steps x robots), and of its events, when reading."""
+OUTCOME_COLUMNS = ("visited", "survived", "time", "alive", "outcome")
 MOST_OUTCOMES = 2**27
 """Limit of outcomes when reading."""
 
@@ -261,16 +262,12 @@ class RecordedOutcomes:
     outcome: NDArray[np.int8]
 
 
-def read_rollouts(path: str | Path) -> Iterator[RecordedRollout]:
+def read_rollouts(source: str | Path | Log) -> Iterator[RecordedRollout]:
     """The rollouts of a recording, one after the other; one is in memory at a time.
 
     Incomplete rollouts of a partial or recovered recording are omitted. Raises InputError.
     """
-    return rollouts_of(open_log(path))
-
-
-def rollouts_of(log: Log) -> Iterator[RecordedRollout]:
-    """`read_rollouts` of an open log."""
+    log = source if isinstance(source, Log) else open_log(source)
 
     def broken(problem: str) -> None:
         if not log.partial:
@@ -297,14 +294,13 @@ def rollouts_of(log: Log) -> Iterator[RecordedRollout]:
         broken(f"rollout {collected.start.rollout} has no end")
 
 
-def read_outcomes(path: str | Path) -> RecordedOutcomes:
-    """All outcomes that `record --outcomes` wrote, none without that option. Raises InputError."""
-    return outcomes_of_log(open_log(path))
+def read_outcomes(source: str | Path | Log) -> RecordedOutcomes:
+    """All outcomes that `record --outcomes` wrote, none without that option. Raises InputError.
 
-
-def outcomes_of_log(log: Log) -> RecordedOutcomes:
-    """`read_outcomes` of an open log. Memory: 25 bytes for each rollout."""
-    kinds = {"visited": np.int32, "survived": np.int32, "time": np.int32, "alive": np.int32, "outcome": np.int8}
+    Memory: 25 bytes for each rollout.
+    """
+    log = source if isinstance(source, Log) else open_log(source)
+    kinds = dict.fromkeys(OUTCOME_COLUMNS, np.int32) | {"outcome": np.int8}
     ids, columns = [np.zeros(0, dtype=np.int64)], {name: [np.zeros(0, dtype=kind)] for name, kind in kinds.items()}
     last = -1
     for message in log.messages(("/outcomes",)):
@@ -371,15 +367,10 @@ class _Collected:
         start = self.start
         if end.outcome not in tuple(Outcome) or len(end.area_of) != start.height * start.width:
             self._refuse(f"the end of rollout {end.rollout}")
-        trace = Trace(
-            rollout=end.rollout,
-            cells=self._of_steps("cells").astype(np.int32),
-            doing=self._of_steps("doing").astype(np.int8),
-            areas=self._of_steps("areas").astype(np.int32),
-            events=np.array(self._events, dtype=np.int64).astype(np.int32).reshape(-1, 5),
-            area_of=np.array(end.area_of, dtype=np.int32),
-            outcome=Outcome(end.outcome),
-        )
+        cells, areas = (self._of_steps(name).astype(np.int32) for name in ("cells", "areas"))
+        events = np.array(self._events, dtype=np.int64).astype(np.int32).reshape(-1, 5)
+        area_of, doing = np.array(end.area_of, dtype=np.int32), self._of_steps("doing").astype(np.int8)
+        trace = Trace(end.rollout, cells, doing, areas, events, area_of, Outcome(end.outcome))
         figures = {name: self._of_steps(name) for name in ("visited", "survived", "alive", "unassigned")}
         times, shape = np.array(self._times, dtype=np.int64), (start.height, start.width)
         return RecordedRollout(trace, times, **figures, loop=start.loop, seed=start.seed, shape=shape,

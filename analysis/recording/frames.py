@@ -101,18 +101,9 @@ def make_frames(trace: Trace, state: MissionState | None = None) -> Frames:
     survived_at = _first(steps[passed], entered[passed], n)
     if state is not None:
         visited_at[state.visited] = survived_at[state.survived] = 0
-    count = len(cells)
-    return Frames(
-        trace=trace,
-        moved=moved,
-        alive=alive,
-        visited_at=visited_at,
-        survived_at=survived_at,
-        visited_by=_first(robots, entered, n),
-        visited=_so_far(visited_at, count),
-        survived=_so_far(survived_at, count),
-        alive_count=alive.sum(axis=1),
-    )
+    visited, survived = _so_far(visited_at, len(cells)), _so_far(survived_at, len(cells))
+    visited_by, alive_count = _first(robots, entered, n), alive.sum(axis=1)
+    return Frames(trace, moved, alive, visited_at, survived_at, visited_by, visited, survived, alive_count)
 
 
 def _first(values: NDArray[np.int64], cells: NDArray[np.int32], n: int) -> NDArray[np.int32]:
@@ -255,16 +246,10 @@ def event_line(row: NDArray, world: World, plan: Plan | None = None) -> Line:
     step, robot, number, area, other = (int(value) for value in row)
     kind = EventKind(number)
     level, short, full = _EVENTS[kind]
-    facts = {
-        "robot": robot,
-        "area": area,
-        "other": other,
-        "parts": counted(other, "part"),
-        "cells": counted(other, "cell"),
-        "cell": list(divmod(other, world.shape[1])),
-        "threat": _stopped_by(robot, step, row[4], world, plan) if kind == EventKind.HIT else "",
-        "its_area": "" if area == NO_AREA else f"; its area was {area}",
-    }
+    cell, its_area = list(divmod(other, world.shape[1])), "" if area == NO_AREA else f"; its area was {area}"
+    threat = _stopped_by(robot, step, row[4], world, plan) if kind == EventKind.HIT else ""
+    facts = {"robot": robot, "area": area, "other": other, "cell": cell, "threat": threat, "its_area": its_area}
+    facts |= {"parts": counted(other, "part"), "cells": counted(other, "cell")}
     short = short.format(**facts)
     return Line(step, robot, kind, level, full.format(short=short, **facts), short)
 

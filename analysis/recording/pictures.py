@@ -27,38 +27,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial import KDTree
 
-from analysis.pictures import (
-    DPI,
-    FAINT,
-    FINE_DPI,
-    FINE_FROM,
-    FOG,
-    GRID,
-    HALO,
-    INK,
-    MOST_LEVELS,
-    OBSTACLE,
-    SAFE,
-    UNREACHABLE,
-    WIDTH,
-    Key,
-    Look,
-    cell_colours,
-    cell_points,
-    draw_key,
-    inches,
-    lane,
-    level_scale,
-    map_axes,
-    new_figure,
-    picture_style,
-    plain,
-    png_bytes,
-    robot_style,
-    root_figure,
-    threat_scale,
-    whole_ticks,
-)
+from analysis import pictures as style
 from analysis.recording.frames import Frames, Held, event_line, make_frames, no_areas
 from analysis.recording.viewers.topics import Stage
 from planner.errors import UsageError
@@ -73,7 +42,7 @@ from planner.world.world import World
 
 # The static parts of a rollout's picture: layout, legends and texts.
 
-UNASSIGNED = SAFE
+UNASSIGNED = style.SAFE
 BEFORE = "#c3c7cc"
 LOST = "#b3263a"
 FOG_ALPHA = 0.8
@@ -108,17 +77,17 @@ def boxes_for(shape: tuple[int, int]) -> Boxes:
     base = 3.1
     # Wide maps side by side would have tiny cells.
     if width > 2.2 * height:
-        cell = (WIDTH - left - right) / width
+        cell = (style.WIDTH - left - right) / width
         tall = cell * height
         areas = (left, base, cell * width, tall)
         threat = (left, base + tall + gap, cell * width, tall)
     else:
-        room = (WIDTH - left - right - gap) / 2
+        room = (style.WIDTH - left - right - gap) / 2
         cell = min(room / width, 5.0 / height)
         tall = cell * height
         threat = (left, base, cell * width, tall)
         areas = (left + room + gap, base, cell * width, tall)
-    size = (WIDTH, threat[1] + tall + top)
+    size = (style.WIDTH, threat[1] + tall + top)
     return Boxes(size, (threat, areas, curve), bar, (left + 3.0, bar[1] + 0.16), events)
 
 
@@ -131,20 +100,18 @@ def draw_threat(
     """
     accessible = world.accessible(plan.starts)
     maps = world.threat[None] if world.phases is None else world.phases.threats
-    most = plan.settings.levels if plan.settings else MOST_LEVELS
+    most = plan.settings.levels if plan.settings else style.MOST_LEVELS
     levels, _, _ = levels_of_maps(maps.reshape(len(maps), -1), accessible.ravel(), most)
     threats = np.nan_to_num(maps.astype(np.float64))
-    known = threat_scale(levels, float(threats[:, accessible].max(initial=0.0)))
+    known = style.threat_scale(levels, float(threats[:, accessible].max(initial=0.0)))
     paint = ScalarMappable(known.norm, known.colours)
-    painted = [cell_colours(world, accessible, paint.to_rgba(threat)) for threat in threats]
+    painted = [style.cell_colours(world, accessible, paint.to_rgba(threat)) for threat in threats]
     image = axes.imshow(painted[0], interpolation="nearest", zorder=0)
     map_frame(axes, world, "threat, and paths driven")
-    label, handles = (
-        "probability that one visit destroys the robot",
-        _area_handles(has_areas, plan.state is not None, fog, world.movers is not None),
-    )
-    key = Key("", "", label=label, handles=handles, **level_scale(levels, known))
-    draw_key(root_figure(axes), boxes.bar, boxes.legend, 2, key)
+    label = "probability that one visit destroys the robot"
+    handles = _area_handles(has_areas, plan.state is not None, fog, world.movers is not None)
+    key = style.Key("", "", label=label, handles=handles, **style.level_scale(levels, known))
+    style.draw_key(style.root_figure(axes), boxes.bar, boxes.legend, 2, key)
     return image, painted
 
 
@@ -156,16 +123,16 @@ def _area_handles(has_areas: bool, before: bool, fog: bool, moving: bool) -> tup
         entries += [(tint(hue, 0.3)[0], "assigned to that robot")]
     if before:
         entries += [(to_rgba(BEFORE)[:3], "covered before")]
-    entries += [(UNASSIGNED, "unassigned" if has_areas else "not covered"), (OBSTACLE, "obstacle")]
-    entries += [(to_rgb(FOG), "not seen yet")] if fog else []
-    patches = [Patch(facecolor=colour, edgecolor=FAINT, linewidth=0.4, label=label) for colour, label in entries]
-    look: Look = {"linestyle": "", "marker": "D", "markersize": 5, "markeredgecolor": "white"}
+    entries += [(UNASSIGNED, "unassigned" if has_areas else "not covered"), (style.OBSTACLE, "obstacle")]
+    entries += [(to_rgb(style.FOG), "not seen yet")] if fog else []
+    patches = [Patch(facecolor=colour, edgecolor=style.FAINT, linewidth=0.4, label=label) for colour, label in entries]
+    look: style.Look = {"linestyle": "", "marker": "D", "markersize": 5, "markeredgecolor": "white"}
     return (*patches, *([Line2D([], [], color=MOVING, label="moving threat", **look)] if moving else []))
 
 
 def draw_fog(axes: Axes, shape: tuple[int, int]) -> AxesImage:
     """A dark layer over a map; its alpha is set by cell."""
-    sheet = np.full((*shape, 3), to_rgb(FOG))
+    sheet = np.full((*shape, 3), to_rgb(style.FOG))
     return axes.imshow(sheet, interpolation="nearest", zorder=1, alpha=np.full(shape, FOG_ALPHA))
 
 
@@ -183,9 +150,9 @@ def draw_coverage(axes: Axes, frames: Frames, total: int) -> list[Line2D]:
     axes.set_ylabel("cells covered", fontsize=8)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0, symbol=" %"))
     axes.set_yticks([0, 0.25, 0.5, 0.75, 1])
-    axes.xaxis.set_major_locator(whole_ticks(8))
-    axes.grid(color=GRID, linewidth=0.6)
-    plain(axes)
+    axes.xaxis.set_major_locator(style.whole_ticks(8))
+    axes.grid(color=style.GRID, linewidth=0.6)
+    style.plain(axes)
     axes.tick_params(labelsize=7.5)
     lines = []
     for colour, label, dashes in ((VISITED, "visited", "-"), (SURVIVED, "survived", (0, (4, 1.5)))):
@@ -197,8 +164,8 @@ def draw_coverage(axes: Axes, frames: Frames, total: int) -> list[Line2D]:
 
 def map_frame(axes: Axes, world: World, title: str) -> None:
     """Set up the axes of a map, with its title."""
-    map_axes(axes, world.shape, world.cell_size)
-    axes.set_title(title, loc="left", fontsize=9, color=INK, pad=4)
+    style.map_axes(axes, world.shape, world.cell_size)
+    axes.set_title(title, loc="left", fontsize=9, color=style.INK, pad=4)
 
 
 def tint(colours: NDArray[np.float64], share: float) -> NDArray[np.float64]:
@@ -217,7 +184,7 @@ class RolloutPicture:
     def __init__(self, trace: Trace, stage: Stage, dpi: int) -> None:
         """Draw the static parts, and step 0. For use within `analysis.pictures.picture_style()`.
 
-        `dpi`: pixels per inch of the figure, which is `plots_style.WIDTH` inches wide.
+        `dpi`: pixels per inch of the figure, which is `style.WIDTH` inches wide.
         """
         plan, self._found = stage.plan, stage.discovery(trace)
         world = stage.world
@@ -232,18 +199,18 @@ class RolloutPicture:
         has_areas = self._next_map is not None
         self._events_at = self._frames.events_by_step()
         robots = trace.cells.shape[1]
-        colours = np.array([to_rgb(robot_style(robot)[0]) for robot in range(robots)] + [to_rgb(UNASSIGNED)])
+        colours = np.array([to_rgb(style.robot_style(robot)[0]) for robot in range(robots)] + [to_rgb(UNASSIGNED)])
         self._covered, self._promised = tint(colours, 0.62), tint(colours, 0.3)
         self._promised[NO_ROBOT], self._covered[NO_ROBOT] = to_rgb(UNASSIGNED), to_rgb(BEFORE)
 
         boxes = boxes_for(world.shape)
-        self.figure = new_figure(boxes.size, dpi)
-        threat_axes, areas_axes, coverage = (self.figure.add_axes(inches(self.figure, box)) for box in boxes.axes)
+        self.figure = style.new_figure(boxes.size, dpi)
+        threat_axes, areas_axes, coverage = (self.figure.add_axes(style.inches(self.figure, box)) for box in boxes.axes)
         fog = self._found is not None
         self._ground, self._painted = draw_threat(threat_axes, boxes, world, plan, has_areas, fog=fog)
         map_frame(areas_axes, world, "coverage and areas by robot" if has_areas else "coverage by robot")
         self._image = areas_axes.imshow(self._area_colours(0), interpolation="nearest", zorder=0)
-        points = cell_points(threat_axes, world.shape)
+        points = style.cell_points(threat_axes, world.shape)
         self._fog = [draw_fog(axes, world.shape) for axes in (threat_axes, areas_axes) if self._found is not None]
         self._ways = threat_paths(stage.world, stage.seed, trace.rollout, len(trace.cells))
         self._threats = [draw_moving_threats(axes, points) for axes in (threat_axes, areas_axes) if self._ways.size]
@@ -272,7 +239,7 @@ class RolloutPicture:
             threats.set_offsets(np.stack(np.divmod(self._ways[step], self._shape[1])[::-1], axis=1))
         rows, cols = np.divmod(self._trace.cells[: step + 1], self._shape[1])
         for robot, line in enumerate(self._paths):
-            shift = lane(robot, len(self._paths))
+            shift = style.lane(robot, len(self._paths))
             line.set_data(cols[:, robot] + shift, rows[:, robot] + shift)
         for markers in self._markers:
             markers.move(rows[-1], cols[-1], self._frames.alive[step])
@@ -313,8 +280,8 @@ class RolloutPicture:
         owner = np.where(self._map.held == Held.ASSIGNED, self._map.robot, NO_ROBOT)
         colours = self._promised[owner]
         colours[visited] = self._covered[self._frames.visited_by[visited]]
-        colours[~self._accessible] = to_rgb(UNREACHABLE)
-        colours[~self._free] = to_rgb(OBSTACLE)
+        colours[~self._accessible] = to_rgb(style.UNREACHABLE)
+        colours[~self._free] = to_rgb(style.OBSTACLE)
         return colours.reshape(*self._shape, 3)
 
     def _write(self, step: int) -> None:
@@ -332,15 +299,14 @@ class RolloutPicture:
         self._subtitle.set_text("; ".join(parts))
         events = trace.events[: self._events_at[step + 1]][-LISTED_EVENTS:]
         for line, event in zip(self._lines, events[::-1].tolist(), strict=False):
-            line.set_text(f"{event[0]:>5}  {event_line(event, self._world).short}")
             lost = event[2] == EventKind.HIT
-            line.set(
-                color=LOST if lost else INK if event[0] == step else FAINT, fontweight="bold" if lost else "normal"
-            )
+            colour = LOST if lost else style.INK if event[0] == step else style.FAINT
+            text = f"{event[0]:>5}  {event_line(event, self._world).short}"
+            line.set(text=text, color=colour, fontweight="bold" if lost else "normal")
 
 
 def _path_line(axes: Axes, robot: int, robots: int, points: float) -> Line2D:
-    colour, dashes = robot_style(robot)
+    colour, dashes = style.robot_style(robot)
     width = float(np.clip(0.7 * points / max(robots, 3), 0.5, 2.0))
     (line,) = axes.plot([], [], color=colour, linestyle=dashes, linewidth=width, zorder=2)
     return line
@@ -352,12 +318,12 @@ class _Markers:
     def __init__(self, axes: Axes, robots: int, points: float) -> None:
         numbered = robots <= NUMBERED
         size = float(np.clip(0.9 * points, 9.0, 14.0) if numbered else np.clip(0.7 * points, 2.5, 8.0))
-        self._colours = np.array([to_rgb(robot_style(robot)[0]) for robot in range(robots)])
-        self._shifts = np.array([lane(robot, robots) for robot in range(robots)])
-        edge: Look = {"edgecolors": "white", "linewidths": 0.9 if numbered else 0.4, "clip_on": False}
+        self._colours = np.array([to_rgb(style.robot_style(robot)[0]) for robot in range(robots)])
+        self._shifts = np.array([style.lane(robot, robots) for robot in range(robots)])
+        edge: style.Look = {"edgecolors": "white", "linewidths": 0.9 if numbered else 0.4, "clip_on": False}
         self._alive = axes.scatter([], [], s=size**2, marker="o", zorder=4, **edge)
         self._lost = axes.scatter([], [], s=(0.95 * size) ** 2, marker="X", zorder=3, color=LOST, **edge)
-        font: Look = {"fontsize": 0.56 * size, "fontweight": "bold", "ha": "center", "va": "center_baseline"}
+        font: style.Look = {"fontsize": 0.56 * size, "fontweight": "bold", "ha": "center", "va": "center_baseline"}
         self._numbers = [axes.text(0, 0, str(robot), zorder=5, **font) for robot in range(robots if numbered else 0)]
         self._above = 0.95 * size / points if points else 1.0
         self.artists = [self._lost, self._alive, *self._numbers]
@@ -371,15 +337,15 @@ class _Markers:
         for robot, number in enumerate(self._numbers):
             across, down = places[robot]
             number.set_position((across, down if alive[robot] else down - self._above))
-            number.set(color="white" if alive[robot] else LOST, path_effects=[] if alive[robot] else HALO)
+            number.set(color="white" if alive[robot] else LOST, path_effects=[] if alive[robot] else style.HALO)
 
 
 def _texts(figure: Figure, size: tuple[float, float], events: tuple[float, float]) -> tuple[Text, Text, list[Text]]:
     """Title, subtitle, and the lines of the latest events, without text."""
     width, height = size
     left = 0.62 / width
-    title = figure.text(left, 1 - 0.33 / height, "", fontsize=13, fontweight="bold", color=INK)
-    subtitle = figure.text(left, 1 - 0.56 / height, "", fontsize=9.5, color=FAINT)
+    title = figure.text(left, 1 - 0.33 / height, "", fontsize=13, fontweight="bold", color=style.INK)
+    subtitle = figure.text(left, 1 - 0.56 / height, "", fontsize=9.5, color=style.FAINT)
     across, top = events
     lines = [
         figure.text(across / width, (top - 0.155 * (row + 1)) / height, "", fontsize=7.6, va="baseline")
@@ -410,11 +376,11 @@ def picture_png(trace: Trace, stage: Stage, step: int | None = None) -> bytes:
     at = trace.time if step is None else step
     if not 0 <= at <= trace.time:
         raise UsageError(f"step {step} of rollout {trace.rollout}", expected=f"0 to {trace.time}, where it ended")
-    with picture_style():
-        dpi = FINE_DPI if max(stage.world.shape) > FINE_FROM else DPI
+    with style.picture_style():
+        dpi = style.FINE_DPI if max(stage.world.shape) > style.FINE_FROM else style.DPI
         picture = RolloutPicture(trace, stage, dpi)
         picture.show(at)
-        return png_bytes(picture.figure)
+        return style.png_bytes(picture.figure)
 
 
 def animation_gif(trace: Trace, stage: Stage, most_frames: int = MOST_FRAMES) -> bytes:
@@ -433,7 +399,7 @@ def animation_gif(trace: Trace, stage: Stage, most_frames: int = MOST_FRAMES) ->
             picture.show(step)
             yield picture.pixels()
 
-    with picture_style():
+    with style.picture_style():
         colours = _commonest(pixels(sorted({0, trace.time // 2, trace.time})))
         return _gif(pixels(steps), colours, durations(trace, steps))
 
@@ -489,17 +455,8 @@ def _gif(pictures: Iterator[NDArray[np.uint8]], colours: NDArray[np.uint8], mill
     tree = KDTree(colours)
     frames = (_in_colours(one, colours, tree) for one in pictures)
     out = io.BytesIO()
-    next(frames).save(
-        out,
-        format="GIF",
-        save_all=True,
-        append_images=frames,
-        duration=milliseconds,
-        loop=0,
-        disposal=1,
-        optimize=True,
-        transparency=COLOURS,
-    )
+    saved: dict[str, Any] = {"save_all": True, "append_images": frames, "duration": milliseconds, "loop": 0}
+    next(frames).save(out, format="GIF", disposal=1, optimize=True, transparency=COLOURS, **saved)
     return out.getvalue()
 
 

@@ -142,8 +142,6 @@ def _above(new: NDArray[np.int64], old: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 # The rollouts of a recording: evaluated as a stream, selected ones in full.
 
-OUTCOME_COLUMNS = ("visited", "survived", "time", "alive", "outcome")
-
 
 @dataclass(frozen=True)
 class Request:
@@ -276,7 +274,7 @@ def part_of(results: RolloutResults, start: int, stop: int) -> RolloutResults:
 
 def _outcome_message(results: RolloutResults, start: int, stop: int) -> Message:
     part = part_of(results, start, stop)
-    columns = {name: getattr(part, name).astype(np.int64).tolist() for name in OUTCOME_COLUMNS}
+    columns = {name: getattr(part, name).astype(np.int64).tolist() for name in contents.OUTCOME_COLUMNS}
     return Message("/outcomes", 0, topics.Outcomes(first=part.start, **columns).SerializeToString())
 
 
@@ -403,24 +401,16 @@ def _write(
             done.first = trace
         done.rows.append(row)
         # From the first complete rollout on, an interrupted file is worth keeping.
-        log.discard = False
-        doing(
-            f"writing rollout {len(done.rows) + 1} of {len(ids)}" if len(done.rows) < len(ids) else "closing the file"
-        )
+        log.discard, written = False, len(done.rows)
+        doing(f"writing rollout {written + 1} of {len(ids)}" if written < len(ids) else "closing the file")
 
 
 def _row(trace: Trace, picks: dict[str, int], stage: Stage) -> Row:
     frames = make_frames(trace, stage.plan.state)
-    return Row(
-        rollout=trace.rollout,
-        picks=tuple(name for name, one in picks.items() if one == trace.rollout),
-        outcome=stage.plan.ending(trace.outcome).word,
-        visited=int(frames.visited[-1]),
-        survived=int(frames.survived[-1]),
-        time=trace.time,
-        alive=int(frames.alive_count[-1]),
-        events=len(trace.events),
-    )
+    names = tuple(name for name, one in picks.items() if one == trace.rollout)
+    visited, survived, alive = (int(one[-1]) for one in (frames.visited, frames.survived, frames.alive_count))
+    outcome, events = stage.plan.ending(trace.outcome).word, len(trace.events)
+    return Row(trace.rollout, names, outcome, visited, survived, trace.time, alive, events)
 
 
 def _describe(log: LogWriter, settings: contents.Settings, tally: Tally, world: World, plan: Plan) -> None:

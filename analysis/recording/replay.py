@@ -16,17 +16,9 @@ from rich.table import Table
 
 from analysis.recording import contents
 from analysis.recording.container import RECOVERED, Log, LogMessage, Recovered, open_log
-from analysis.recording.contents import RecordedOutcomes, RecordedRollout, decode, outcomes_of_log, rollouts_of
+from analysis.recording.contents import RecordedOutcomes, RecordedRollout, decode, read_outcomes, read_rollouts
 from analysis.recording.frames import end_text, event_line
-from analysis.recording.record import (
-    OUTCOME_COLUMNS,
-    Picker,
-    Recorded,
-    chunks,
-    parse_picks,
-    recorded_messages,
-    tally_of,
-)
+from analysis.recording.record import Picker, Recorded, chunks, parse_picks, recorded_messages, tally_of
 from analysis.recording.viewers import topics as schemas
 from analysis.recording.viewers.topics import DATA_TOPICS, Message, Stage, type_of
 from analysis.report.model import Report, Section
@@ -88,7 +80,7 @@ def compare_outcomes(recorded: RecordedOutcomes, results: RolloutResults) -> Non
     stop = results.start + len(results.visited)
     there = slice(*np.searchsorted(recorded.ids, (results.start, stop)))
     ids = recorded.ids[there]
-    for column in OUTCOME_COLUMNS:
+    for column in contents.OUTCOME_COLUMNS:
         mine, theirs = getattr(results, column)[ids - results.start], getattr(recorded, column)[there]
         wrong = np.flatnonzero(mine != theirs)
         if len(wrong):
@@ -317,7 +309,7 @@ class _Comparison:
             return
         text, cells = (self.log.attachment(name) for name in (contents.TALLY, contents.TALLY_CELLS))
         stored = contents.read_tally(text, cells, str(self.log.path))
-        outcomes = outcomes_of_log(self.log) if self.settings.outcomes else None
+        outcomes = read_outcomes(self.log) if self.settings.outcomes else None
         if not count:
             self._same_tally(tally_of(engine, self.settings.ids), stored)
             return
@@ -408,7 +400,7 @@ def inspect(path: str | Path) -> Inspection:
         topics=dict(sorted(topics.items())),
         attachments={attached.name: len(attached.data) for attached in log.attachments},
         metadata=dict(log.metadata),
-        rollouts=[] if world is None else [_rollout(one, world, plan, log.path) for one in rollouts_of(log)],
+        rollouts=[] if world is None else [_rollout(one, world, plan, log.path) for one in read_rollouts(log)],
     )
 
 
@@ -421,21 +413,13 @@ def _rollout(one: RecordedRollout, world: World, plan: Plan | None, source: Path
     cells = max(one.accessible, 1)
     visited, survived, alive = (int(values[-1]) for values in (one.visited, one.survived, one.alive))
     ended = trace.outcome if plan is None else plan.ending(trace.outcome)
+    begins, robots = float(one.times[0]) / 1e9, trace.cells.shape[1]
+    events = [{"step": at.step, "kind": at.kind.name.lower(), "robot": at.robot, "text": at.text} for at in lines]
     return {
-        "rollout": trace.rollout,
-        "begins_seconds": float(one.times[0]) / 1e9,
-        "outcome": ended.word,
-        "time": trace.time,
-        "visited": visited / cells,
-        "survived": survived / cells,
-        "robots": trace.cells.shape[1],
-        "alive": alive,
-        "text": end_text(trace, ended, visited, survived, cells, alive),
-        "events": [
-            {"step": line.step, "kind": line.kind.name.lower(), "robot": line.robot, "text": line.text}
-            for line in lines
-        ],
-    }
+        "rollout": trace.rollout, "begins_seconds": begins, "outcome": ended.word, "time": trace.time,
+        "visited": visited / cells, "survived": survived / cells, "robots": robots, "alive": alive,
+        "text": end_text(trace, ended, visited, survived, cells, alive), "events": events,
+    }  # fmt: skip
 
 
 # Reports of `record`, `replay`, `inspect` and `recover`.
@@ -478,17 +462,11 @@ def _recorded_json(done: Recorded) -> Json:
         asdict(row) | {"visited": row.visited / cells, "survived": row.survived / cells, "cells_visited": row.visited}
         for row in done.rows
     ]
-    return {
-        **({"partial": True} if done.partial else {}),
-        "file": str(done.path),
-        "bytes": done.bytes,
-        "steps": done.steps,
-        "rollouts": rows,
-        "settings": done.settings.to_json(),
-        "accessible": cells,
-        "evaluate_seconds": done.evaluate_seconds,
-        "record_seconds": done.record_seconds,
-    }
+    return ({"partial": True} if done.partial else {}) | {
+        "file": str(done.path), "bytes": done.bytes, "steps": done.steps, "rollouts": rows,
+        "settings": done.settings.to_json(), "accessible": cells,
+        "evaluate_seconds": done.evaluate_seconds, "record_seconds": done.record_seconds,
+    }  # fmt: skip
 
 
 def interrupted_lines(done: Recorded, asked: Path) -> list[str]:

@@ -47,10 +47,12 @@ from planner.world.world import World
 RGBA = np.dtype([(colour, "u1") for colour in ("red", "green", "blue", "alpha")])
 TRUTH, FOG = (np.dtype([(value, "<f4"), *RGBA.descr]) for value in ("threat", "seen_at"))
 _KINDS = {"u1": PackedElementField.UINT8, "u2": PackedElementField.UINT16, "f4": PackedElementField.FLOAT32}
-HEIGHTS = {
-    "threat": 0.0, "truth": 0.0, "areas": 0.02, "voxels": 0.02, "visited": 0.04, "obstacles": 0.06, "fog": 0.08,
+LAYERS = {
+    "threat": (0.0, np.dtype([("threat", "<f4")])), "truth": (0.0, TRUTH), "areas": (0.02, RGBA),
+    "voxels": (0.02, RGBA), "visited": (0.04, np.dtype([("visited", "u1")])), "obstacles": (0.06, RGBA),
+    "fog": (0.08, FOG),
 }  # fmt: skip
-"""Height above the ground of each layer, in cells, so that layers do not hide each other."""
+"""Height above the ground of each layer, in cells, so that layers do not hide each other; and its fields."""
 DARK = (15, 70)
 MAP_VOXEL_HEIGHT = 0.1
 OPAQUE = 255
@@ -66,14 +68,7 @@ class MapDrawer:
         """`accessible`: bool `[H, W]`."""
         self.world, self._threat = world, world.threat if world.phases is None else world.met
         self._unknown = world.free & ~accessible
-        self._grids = {
-            "threat": _grid(self.place("threat"), world, np.dtype([("threat", "<f4")])),
-            "obstacles": _grid(self.place("obstacles"), world, RGBA),
-            "truth": _grid(self.place("truth"), world, TRUTH),
-            "fog": _grid(self.place("fog"), world, FOG),
-            "visited": _grid(self.place("visited"), world, np.dtype([("visited", "u1")])),
-            "areas": _grid(self.place("areas"), world, RGBA),
-        }
+        self._grids = {name: _grid(self.place(name), world, fields) for name, (_, fields) in LAYERS.items()}
         cells = np.arange(world.threat.size).reshape(world.shape)
         self._at = np.flipud(cells).reshape(-1)  # position of each cell in a message; it is its own inverse
         self._counts = np.zeros(world.threat.size, dtype=np.uint8)
@@ -118,7 +113,7 @@ class MapDrawer:
     def place(self, layer: str) -> Place:
         """The pose of a layer."""
         x, y, yaw = self.world.origin
-        return Place(x, y, HEIGHTS[layer] * self.world.cell_size, yaw, self.world.cell_size)
+        return Place(x, y, LAYERS[layer][0] * self.world.cell_size, yaw, self.world.cell_size)
 
     def threat(self, time: int) -> Any:
         """foxglove.Grid, one float32 `threat`, 0 at obstacles."""
@@ -220,6 +215,15 @@ def add_fields(message: Any, fields: np.dtype) -> None:
             message.fields.add(name=name, offset=offset, type=_KINDS[kind.str[1:]])
 
 
+def _cloud(fields: np.dtype, count: int) -> tuple[Any, NDArray]:
+    """A foxglove.PointCloud without data, and the array of its points."""
+    cloud = PointCloud(frame_id=FRAME, point_stride=fields.itemsize)
+    cloud.pose.orientation.w = 1.0
+    cloud.pose.position.SetInParent()  # set the origin explicitly: Rerun rejects a pose without a position
+    add_fields(cloud, fields)
+    return cloud, np.zeros(count, dtype=fields)
+
+
 # Topics of moving threats: a red cube each, and a point for viewers without markers.
 #
 # Axis letters: `T` = time + 1 steps, `M` moving threats.
@@ -235,11 +239,7 @@ class MovingThreatDrawer:
     def __init__(self, world: World, ways: NDArray[np.int64]) -> None:
         """`ways` `[T, M]`: the cell of each threat at the end of each step; nothing is drawn if M is 0."""
         self._xy, self._scene = world.to_xy(ways), SceneUpdate()
-        self._cloud = PointCloud(frame_id=FRAME, point_stride=_THREAT_POINT.itemsize)
-        self._cloud.pose.orientation.w = 1.0
-        self._cloud.pose.position.SetInParent()
-        add_fields(self._cloud, _THREAT_POINT)
-        self._points = np.zeros(ways.shape[1], dtype=_THREAT_POINT)
+        self._cloud, self._points = _cloud(_THREAT_POINT, ways.shape[1])
         self._points["z"], self._points["alpha"] = THREAT_HEIGHT * world.cell_size, 255
         self._points["red"], self._points["green"], self._points["blue"] = topics.MOVER
         for number in range(ways.shape[1]):
@@ -294,11 +294,7 @@ class RobotDrawer:
         self._ball = max(0.9, BALL * max(world.shape)) * world.cell_size
         self._turn = np.stack([np.sin(self.yaw / 2), np.cos(self.yaw / 2)], axis=-1)
         self._frames, self._poses, self._scene = FrameTransforms(), PosesInFrame(frame_id=FRAME), SceneUpdate()
-        self._cloud = PointCloud(frame_id=FRAME, point_stride=_ROBOTS_POINT.itemsize)
-        self._cloud.pose.orientation.w = 1.0
-        self._cloud.pose.position.SetInParent()  # set the origin explicitly: Rerun rejects a pose without a position
-        add_fields(self._cloud, _ROBOTS_POINT)
-        self._points = np.zeros(cells.shape[1], dtype=_ROBOTS_POINT)
+        self._cloud, self._points = _cloud(_ROBOTS_POINT, cells.shape[1])
         self._points["robot"], self._points["alpha"] = np.arange(cells.shape[1]), 255
         self._points["z"] = POINT_HEIGHT * self._size
         for robot in range(cells.shape[1]):
@@ -337,10 +333,8 @@ class RobotDrawer:
                 self._cross_out(entity)
         points = self._points
         points["x"], points["y"] = self.xy[step].T
-        rgb = np.where(
-            alive[:, None], topics.robots_rgb(points["robot"].astype(np.int32)), np.array(topics.LOST, dtype=np.uint8)
-        )
-        points["red"], points["green"], points["blue"] = rgb.T
+        own = topics.robots_rgb(points["robot"].astype(np.int32))
+        points["red"], points["green"], points["blue"] = np.where(alive[:, None], own, topics.LOST).T
         self._cloud.data = points.tobytes()
         for message in (self._poses, self._cloud):
             message.timestamp.FromNanoseconds(time)

@@ -149,16 +149,10 @@ End, Stats, Outcomes = _MESSAGES["End"], _MESSAGES["Stats"], _MESSAGES["Outcomes
 
 GAP_SECONDS = 3.0
 """Gap between consecutive rollouts in one file."""
-OWN = {
-    "/rollout/start": Start,
-    "/rollout/step": Step,
-    "/rollout/event": Event,
-    "/rollout/end": End,
-    "/outcomes": Outcomes,
-    "/stats": Stats,
-}
+_DATA = {"/rollout/start": Start, "/rollout/step": Step, "/rollout/event": Event, "/rollout/end": End}
+DATA_TOPICS = tuple(_DATA)
+OWN = _DATA | {"/outcomes": Outcomes, "/stats": Stats}
 """The project's own messages by topic."""
-DATA_TOPICS = ("/rollout/start", "/rollout/step", "/rollout/event", "/rollout/end")
 
 
 def protobuf(message: Any) -> LogSchema:
@@ -170,31 +164,16 @@ def protobuf(message: Any) -> LogSchema:
 @cache
 def topic_types() -> dict[str, LogSchema]:
     """The schema of every topic; topics of single robots are under `/robots/*/`."""
-    messages = OWN | {
-        "/map/threat": Grid,
-        "/map/obstacles": Grid,
-        "/map/visited": Grid,
-        "/map/truth": Grid,
-        "/map/fog": Grid,
-        "/areas": Grid,
-        "/areas_voxels": VoxelGrid,
-        "/robots/*/voxel": VoxelGrid,
-        "/movers/markers": SceneUpdate,
-        "/movers/points": PointCloud,
-        "/plans": SceneUpdate,
-        "/driven": SceneUpdate,
-        "/robots/markers": SceneUpdate,
-        "/robots/points": PointCloud,
-        "/robots/poses": PosesInFrame,
-        "/tf": FrameTransforms,
-        "/events": Log,
-    }
-    return {topic: protobuf(message) for topic, message in messages.items()} | {
-        "/map/threat_occ": OCCUPANCY_GRID,
-        "/coverage": ARRAY,
-        "/robots/*/plan": PATH,
-        "/robots/*/driven": PATH,
-    }
+    drawn = {
+        Grid: ("/map/threat", "/map/obstacles", "/map/visited", "/map/truth", "/map/fog", "/areas"),
+        VoxelGrid: ("/areas_voxels", "/robots/*/voxel"),
+        SceneUpdate: ("/movers/markers", "/plans", "/driven", "/robots/markers"),
+        PointCloud: ("/movers/points", "/robots/points"),
+        PosesInFrame: ("/robots/poses",), FrameTransforms: ("/tf",), Log: ("/events",),
+    }  # fmt: skip
+    messages = OWN | {topic: message for message, topics in drawn.items() for topic in topics}
+    ros = {"/map/threat_occ": OCCUPANCY_GRID, "/coverage": ARRAY, "/robots/*/plan": PATH, "/robots/*/driven": PATH}
+    return {topic: protobuf(message) for topic, message in messages.items()} | ros
 
 
 def type_of(topic: str) -> LogSchema:
