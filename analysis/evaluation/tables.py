@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from rich.table import Table
 from analysis.evaluation.evaluate import Evaluation
 from analysis.evaluation.figures import NAMES, TO_DO, Figures, Rest, Row, coverage_row, known_text
 from analysis.page.elements import CellLayer, Chart, Series
-from analysis.report.model import CellMaps, Planned, Section
+from analysis.report.model import CellMaps, Section
 from analysis.statistics.estimates import AT_LEAST
 from analysis.theory.bounds import Theorem3
 from analysis.theory.verdicts import FORMULAS, MEANINGS, Verdict
@@ -21,6 +22,10 @@ from analysis.utils.tables import Column, make_table, table_of
 from planner.formatting import at_least_text, counted, percent
 from planner.plan.plan import drive_of
 from planner.simulator.codes import Outcome
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 # Tables of an evaluation: probabilities, losses, time and coverage; the worst cells; the robots.
 
@@ -372,10 +377,12 @@ def plan_map(evaluation: Evaluation) -> CellMaps:
     return CellMaps(world, plan.starts, [evaluation.layers.plan], plan=plan, runs=evaluation.played, values_of=CELLS)
 
 
-def world_drawn(evaluation: Evaluation) -> Planned:
+def world_drawn(evaluation: Evaluation) -> Figure:
     """The world by threat level, areas and every robot's nominal path, for a picture."""
+    from analysis.pictures import plan_figure
+
     closed = "; paths: the nominal ones (no robot lost)" if evaluation.loop == "closed" else ""
-    return Planned(evaluation.ground, evaluation.plan, closed)
+    return plan_figure(evaluation.ground, evaluation.plan, closed)
 
 
 def covered(evaluation: Evaluation) -> CellMaps:

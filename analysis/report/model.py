@@ -53,17 +53,8 @@ class CellMaps:
     values_of: str | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Planned:
-    """A plan on its map, for a picture; `more`: text at the end of its second line."""
-
-    world: World
-    plan: Plan
-    more: str = ""
-
-
 Figure: TypeAlias = "Chart | CellMaps"
-Pictured: TypeAlias = "MplFigure | Planned | CellMaps | Sequence[Chart]"
+Pictured: TypeAlias = "MplFigure | CellMaps | Sequence[Chart]"
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,12 +27,11 @@ from analysis.pictures import (
     map_figure,
     mark_starts,
     paint,
-    plan_figure,
     start_handle,
     terrain_handles,
     with_key,
 )
-from analysis.report.model import CellMaps, Planned, Report, Section
+from analysis.report.model import CellMaps, Report, Section
 
 # The page of a report.
 
@@ -103,8 +102,6 @@ def figure_of(report: Report, name: str) -> Figure:
     drawn = report.pictures[name]()
     if isinstance(drawn, Figure):
         return drawn
-    if isinstance(drawn, Planned):
-        return plan_figure(drawn.world, drawn.plan, drawn.more)
     return layer_figure(drawn) if isinstance(drawn, CellMaps) else charts_figure(drawn)
 
 

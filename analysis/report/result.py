@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from html import escape
 from importlib import import_module
@@ -327,6 +327,25 @@ def search_end(result: Any) -> Json:
         "exact": not result.engine,
         **json_end(result, result.notes),
     }
+
+
+def search_report(
+    found: Any, name: str, question: str, summary: str, json: Callable[[], Json], extent: str, rolled: str, **more: Any
+) -> Report:
+    """The report of a search: its question, the map and the random numbers, notes and settings.
+
+    Args:
+        found: the result, a `Searched` with `starts`. question: after the map and the team.
+        extent: the searched alternatives, after the map. rolled: the rollouts, before their seed. more: of `Report`.
+    """
+    world, robots = found.world, len(found.starts)
+    heading = (
+        f"{map_text(world, found.cells, robots)}; {extent}",
+        seed_text(world, found.choices, found.engine, rolled),
+    )
+    settings = {"settings": found.settings.described(world.pace)} | more
+    return Report(name, name, asked(world, robots, question), summary, json, heading=heading, notes=found.notes,
+                  pace=world.pace, **settings)  # fmt: skip
 
 
 def team_figure(estimate: Estimate, robots: int, name: str = "robots lost") -> KeyFigure:

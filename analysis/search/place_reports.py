@@ -11,12 +11,10 @@ from rich.table import Table
 from analysis.page.elements import CellLayer
 from analysis.report.model import CellMaps, KeyFigure, Report, Section
 from analysis.report.result import (
-    asked,
-    map_text,
     pick,
     run_again,
     search_end,
-    seed_text,
+    search_report,
     share_figure,
     sourced,
     team_figure,
@@ -37,22 +35,17 @@ STARTS_SHOWN = 10
 
 def starts_report(starts: Starts) -> Report:
     """The best start positions, the map, the simulated places, and the plan from the best."""
-    choices, robots, maps = starts.choices, len(starts.starts), lambda: _starts_maps(starts)
+    choices, maps = starts.choices, lambda: _starts_maps(starts)
     all_of_all = len(starts.candidates) * choices.rollouts
     # For teams of starts the number of alternatives is astronomically large, so no share is given.
     share = f", {percent(starts.rolled / all_of_all)} of simulating every one in full" if starts.depot else ""
-    return Report(
-        "starts", "starts", asked(starts.world, robots, "where to start?"),
-        starts_summary(starts), lambda: _starts_json(starts), list(starts_findings(starts)),
-        _starts_key_figures(starts),
-        heading=(
-            f"{map_text(starts.world, starts.cells, robots)}; {'one depot' if starts.depot else 'a start each'}",
-            f"{counted(len(starts.candidates), 'candidate')}, {counted(len(starts.simulated), 'place')} simulated, "
-            + seed_text(starts.world, choices, starts.engine, f"{counted(starts.rolled, 'rollout')}, "
-                         f"{choices.rollouts:,} of the last two{share}; "),
-        ),
-        picture=maps, parts=[Section("Places", [_starts_table(starts)], _starts_footnotes(starts))], notes=starts.notes,
-        settings=starts.settings.described(starts.world.pace), pace=starts.world.pace, pictures={"starts.png": maps},
+    return search_report(
+        starts, "starts", "where to start?", starts_summary(starts), lambda: _starts_json(starts),
+        f"{'one depot' if starts.depot else 'a start each'}, {counted(len(starts.candidates), 'candidate')}, "
+        f"{counted(len(starts.simulated), 'place')} simulated",
+        f"{counted(starts.rolled, 'rollout')}, {choices.rollouts:,} of the last two{share}; ",
+        findings=list(starts_findings(starts)), figures=_starts_key_figures(starts), picture=maps,
+        parts=[Section("Places", [_starts_table(starts)], _starts_footnotes(starts))], pictures={"starts.png": maps},
         files={"plan.json": lambda: json_text(starts.plan().to_json(), compact=True)},
     )  # fmt: skip
 
@@ -226,21 +219,18 @@ CLEAR_SHOWN = 12
 
 def clear_report(clearing: Clearing) -> Report:
     """The threat to remove first, the map of gains, and every threat."""
-    choices, robots = clearing.choices, len(clearing.starts)
-    return Report(
-        "clear", "clear", asked(clearing.world, robots, "which threat to remove first?"), removal_summary(clearing),
-        lambda: _clear_json(clearing), list(clear_findings(clearing)), _clear_key_figures(clearing),
-        heading=(
-            f"{map_text(clearing.world, clearing.cells, robots)}, {counted(len(clearing.options), 'threat')} "
-            f"({KINDS[clearing.remove]})",
-            seed_text(clearing.world, choices, clearing.engine,
-                       f"{counted(choices.rollouts, 'rollout')} of the last two, the same ids for all; "),
-        ),
-        picture=lambda: _clear_maps(clearing), parts=[Section("Threats", [_clear_table(clearing)],
-        _clear_footnotes(clearing))],
-        notes=clearing.notes, settings=clearing.settings.described(clearing.world.pace), pace=clearing.world.pace,
+    return search_report(
+        clearing, "clear", "which threat to remove first?", removal_summary(clearing), lambda: _clear_json(clearing),
+        f"{counted(len(clearing.options), 'threat')} ({KINDS[clearing.remove]})", _last_two(clearing),
+        findings=list(clear_findings(clearing)), figures=_clear_key_figures(clearing),
+        picture=lambda: _clear_maps(clearing),
+        parts=[Section("Threats", [_clear_table(clearing)], _clear_footnotes(clearing))],
         pictures={"clear.png": lambda: _clear_maps(clearing, 0), "risk_paid.png": lambda: _clear_maps(clearing, 2)},
     )  # fmt: skip
+
+
+def _last_two(search: Clearing | Attack) -> str:
+    return f"{counted(search.choices.rollouts, 'rollout')} of the last two, the same ids for all; "
 
 
 def removal_summary(clearing: Clearing) -> str:
@@ -389,20 +379,14 @@ KNOWN, HIDDEN = "informed robots", "uninformed robots"
 
 def attack_report(attack: Attack) -> Report:
     """The worst positions, with maps of the cost of a threat in each cell."""
-    choices, robots, cells = attack.choices, len(attack.starts), counted(len(attack.turn.options), "cell")
     threats = f"{counted(len(attack.known.threats), 'threat')} of {chance(attack.p)}"
     hidden = len(attack.hidden.threats) > 0  # none: it was interrupted before
-    return Report(
-        "attack", "attack", asked(attack.world, robots, "where would a threat cost most?"), placement_summary(attack),
-        lambda: _attack_json(attack), list(attack_findings(attack)), _attack_key_figures(attack),
-        heading=(
-            f"{map_text(attack.world, attack.cells, robots)}; {threats}, {cells} searched",
-            seed_text(attack.world, choices, attack.engine,
-                       f"{counted(choices.rollouts, 'rollout')} of the last two, the same ids for all; "),
-        ),
+    return search_report(
+        attack, "attack", "where would a threat cost most?", placement_summary(attack), lambda: _attack_json(attack),
+        f"{threats}, {counted(len(attack.turn.options), 'cell')} searched", _last_two(attack),
+        findings=list(attack_findings(attack)), figures=_attack_key_figures(attack),
         picture=lambda: _attack_maps(attack),
         parts=[Section("Cells", [_attack_table(attack)], _attack_footnotes(attack))],
-        notes=attack.notes, settings=attack.settings.described(attack.world.pace), pace=attack.world.pace,
         pictures={"attack.png": lambda: _attack_maps(attack, 0)}
         | ({"hidden.png": lambda: _attack_maps(attack, 1)} if hidden else {}),
         files={"known.npz": attack.known_world.to_bytes}

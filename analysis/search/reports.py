@@ -11,12 +11,12 @@ from rich.table import Table
 from analysis.page.elements import Chart, Series
 from analysis.report.model import KeyFigure, Report, Section
 from analysis.report.result import (
-    asked,
     json_end,
     map_text,
     pick,
     run_again,
     search_end,
+    search_report,
     seed_text,
     share_figure,
     sourced,
@@ -276,27 +276,21 @@ SELECTED = "selected"
 
 def front_report(front: Front) -> Report:
     """The Pareto front of coverage, robots lost and steps; the plan of the selected point."""
-    choices, robots, picked = front.choices, len(front.starts), front.picked
+    picked = front.picked
     over_losses, over_time = _front_chart(front, "losses"), _front_chart(front, "time")
     prices = _prices(front)
     settings = settings_of(front.settings, Setting("mrac")).described(front.world.pace)
-    return Report(
-        "front", "front", asked(front.world, robots, "how many robots does coverage cost?"), front_summary(front),
-        lambda: _front_json(front), selection_lines(front), _front_key_figures(front),
-        heading=(
-            f"{map_text(front.world, front.cells, robots)}; {counted(len(front.points), 'setting')}, "
-            + seed_text(front.world, choices, front.engine,
-                        f"on the same {counted(choices.rollouts, 'rollout')} each, "),
-        ),
-        picture=lambda: over_losses,
+    return search_report(
+        front, "front", "how many robots does coverage cost?", front_summary(front), lambda: _front_json(front),
+        counted(len(front.points), "setting"), f"{counted(front.choices.rollouts, 'rollout')} each, the same ids; ",
+        findings=selection_lines(front), figures=_front_key_figures(front), picture=lambda: over_losses,
         parts=[
             Section("Losses and settings", [_points(front) if front.goal else prices], [_footnote(front)],
-                 whole=[prices, _points(front, whole=True)]),
+                    whole=[prices, _points(front, whole=True)]),
             Section("Coverage and mission time", figures=lambda: [over_time]),
         ],
-        notes=front.notes,
         settings={name: value for name, value in settings.items() if name not in ("policy", "risk_cap", "robot_value")},
-        pictures={"front.png": lambda: [over_losses, over_time]}, pace=front.world.pace,
+        pictures={"front.png": lambda: [over_losses, over_time]},
         files={} if picked is None
         else {"plan.json": lambda: json_text(front.plan_of(picked).to_json(), compact=True)},
     )  # fmt: skip
