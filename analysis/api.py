@@ -1182,6 +1182,8 @@ def studio(
     from planner.world.start_rule import starts_of
 
     try:
+        import tornado  # noqa: F401
+
         from analysis.studio.server import Sketch, Studio, serve
     except ImportError:
         raise UsageError("tornado is not installed", fix='pip install "mrac-jax[studio]"') from None
