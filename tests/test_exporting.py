@@ -21,7 +21,7 @@ from rasterio.features import rasterize
 
 import mrac_jax as mrac
 from analysis.cli.app import run
-from analysis.cli.missions import WAYS
+from analysis.cli.options import COMMANDS
 from analysis.exporting import FORMATS, cut_area, cut_line, outlines, straight_runs
 from planner.errors import InputError, MapError, PlanError, UsageError
 from planner.plan.plan import Plan, RobotPlan
@@ -489,4 +489,4 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeyp
 
 
 def test_the_command_line_knows_every_format() -> None:
-    assert tuple(FORMATS) == WAYS
+    assert tuple(FORMATS) == next(one for one in COMMANDS if one.name == "export").options["to"].words

@@ -84,19 +84,24 @@ def test_sites_are_safe_areas_and_single_dangerous_cells() -> None:
     assert sorted(spread_out(line, 2).tolist()) == line.tolist()
 
 
+GIVEN = [[0, 0], [5, 0], [3, 7], [2, 6]]
+CHOICES = RolloutChoices(rollouts=RUNS, seed=3, engine="numba", exact="never")
+
+
+def visited_from(starts: np.ndarray, ids: range, world: World = WORLD, seed: int = 3) -> np.ndarray:
+    """Cells visited in each rollout of the simulator as Python, `[n, N]`."""
+    loop = PythonLoop(make_plan(world, starts, Settings()), world)
+    return np.array([loop.run(seed, rollout).visited for rollout in ids])
+
+
 @pytest.mark.parametrize("depot", [True, False])
 def test_where_cells_are_worth_something_it_goes_by_value(depot: bool) -> None:
     value = np.where(np.arange(8) >= 4, 7.5, 1.0) * np.ones((6, 1))
-    valued, choices = (
-        WORLD.with_values(value, 0.5),
-        RolloutChoices(rollouts=RUNS, seed=3, engine="numba", exact="never"),
-    )
-    given = [[0, 0], [5, 0], [3, 7], [2, 6]]
-    answer = find_starts(valued, 2, Settings(), choices, depot=depot, candidates=given)
+    valued = WORLD.with_values(value, 0.5)
+    answer = find_starts(valued, 2, Settings(), CHOICES, depot=depot, candidates=GIVEN)
     robot_value = np.where(valued.free, value, 0.0).ravel() / value[valued.free].sum()
     for place in answer.places:
-        loop = PythonLoop(make_plan(WORLD, place.starts, Settings()), WORLD)
-        runs = np.array([loop.run(3, rollout).visited for rollout in range(place.rollouts)])
+        runs = visited_from(place.starts, range(place.rollouts))
         assert place.value.mean == pytest.approx((runs @ robot_value).mean(), abs=1e-9)
         assert place.coverage.mean * answer.cells == pytest.approx(runs.sum(axis=1).mean())
         assert place.value.mean * value[valued.free].sum() <= place.screen * (1 + 5 * place.value.se)
@@ -107,28 +112,24 @@ def test_where_cells_are_worth_something_it_goes_by_value(depot: bool) -> None:
     assert fresh is not None and fresh.value is not None and found["value"] == fresh.value.to_json()
     assert "% of the value covered on average" in starts_summary(answer) and not answer.notes
     assert answer.gain is None or found["gain"] == answer.gain.to_json()
-    plain = find_starts(WORLD, 2, Settings(), choices, depot=depot, candidates=given).to_json()
+    plain = find_starts(WORLD, 2, Settings(), CHOICES, depot=depot, candidates=GIVEN).to_json()
     assert "value" not in plain and all("value" not in one for one in plain["candidates"])
 
 
 @pytest.mark.parametrize("depot", [True, False])
 def test_what_is_simulated_is_what_the_simulator_as_python_says(depot: bool) -> None:
-    given = [[0, 0], [5, 0], [3, 7], [2, 6]]
-    choices = RolloutChoices(rollouts=RUNS, seed=3, engine="numba", exact="never")
-    answer = find_starts(WORLD, 2, Settings(), choices, depot=depot, candidates=given)
+    answer = find_starts(WORLD, 2, Settings(), CHOICES, depot=depot, candidates=GIVEN)
     assert answer.starts.shape == (2, 2) and answer.rolled - sum(p.rollouts for p in answer.places) == RUNS * (
         1 + (answer.best != answer.here)
     )
     for place in answer.places:
-        loop = PythonLoop(make_plan(WORLD, place.starts, Settings()), WORLD)
-        mean = np.mean([loop.run(3, rollout).visited.sum() for rollout in range(place.rollouts)])
+        mean = visited_from(place.starts, range(place.rollouts)).sum(axis=1).mean()
         assert place.coverage is not None and place.coverage.mean * answer.cells == pytest.approx(mean)
         assert place.coverage.mean * answer.cells <= place.screen + 5 * place.coverage.se * answer.cells
         if depot:
-            assert place.now or (place.is_depot and place.starts[0].tolist() in given)
+            assert place.now or (place.is_depot and place.starts[0].tolist() in GIVEN)
             assert place.now or (place.one_robot is not None and place.one_robot <= place.screen)
-    loop = PythonLoop(make_plan(WORLD, answer.starts, Settings()), WORLD)
-    again = np.mean([loop.run(3, rollout).visited.sum() for rollout in range(RUNS, 2 * RUNS)])
+    again = visited_from(answer.starts, range(RUNS, 2 * RUNS)).sum(axis=1).mean()
     assert answer.confirmed.coverage.mean * answer.cells == pytest.approx(again)
     tried = [place for place in answer.places if place.rollouts == RUNS and (place.is_depot or not depot)]
     best = answer.places[answer.best]
@@ -155,11 +156,8 @@ def test_where_the_team_stands_and_the_best_depot_are_in_the_race_to_the_end() -
     assert now.starts.tolist() == [[0, 0]] * 3 and now.rollouts == last == 96
     assert any(place.is_depot and not place.now and place.rollouts == last for place in answer.places) or now.is_depot
     assert not answer.stay and answer.gain is not None and answer.confirmed is not None
-    told = {}
-    for starts in (answer.starts, now.starts):
-        loop = PythonLoop(make_plan(world, starts, Settings()), world)
-        told[starts.tobytes()] = np.mean([loop.run(4, rollout).visited.sum() for rollout in range(96, 192)]) / 27
-    mine, theirs = told[answer.starts.tobytes()], told[now.starts.tobytes()]
+    again = [visited_from(starts, range(96, 192), world, 4) for starts in (answer.starts, now.starts)]
+    mine, theirs = (runs.sum(axis=1).mean() / 27 for runs in again)
     assert answer.gain.mean == pytest.approx(mine - theirs) and answer.gain.ci95[0] > 0
     assert answer.confirmed.coverage.mean == pytest.approx(mine)  # type: ignore[union-attr]
     assert " more than from the starts of the input" in starts_summary(answer) and answer.to_json()["gain"]["mean"] > 0
@@ -350,8 +348,7 @@ WORLD_CLEAR = World.create(RISKS, starts=[[0, 0], [3, 0]])
 
 @pytest.fixture(scope="module")
 def small() -> Clearing:
-    choices = RolloutChoices(rollouts=RUNS, seed=3, engine="numba", exact="never")
-    return find_clearing(WORLD_CLEAR, WORLD_CLEAR.starts, Settings(), choices, count=2)
+    return find_clearing(WORLD_CLEAR, WORLD_CLEAR.starts, Settings(), CHOICES, count=2)
 
 
 @cache
@@ -374,16 +371,21 @@ def test_threats_are_connected_areas_of_one_level() -> None:
     assert np.isnan(without.threat[0, 8]) and WORLD_CLEAR.threat[1, 3] > 0
 
 
-def test_gains_are_what_the_simulator_as_python_says(small: Clearing) -> None:
-    base = rolled_out(WORLD_CLEAR, WORLD_CLEAR, range(RUNS))
-    for one in small.options:
-        cleared = one.threat.cleared(WORLD_CLEAR)
+def check_gains(answer: Clearing, world: World) -> None:
+    """Cells, robots and value gained, with a new plan and with the old one, on the rollouts of the search."""
+    base = rolled_out(world, world, range(RUNS))
+    for one in answer.options:
+        cleared = one.threat.cleared(world)
         assert one.known is not None and one.unknown.rollouts == RUNS
-        start = rolled_out(WORLD_CLEAR, WORLD_CLEAR, range(one.known.rollouts))
-        for gain, planned, before in ((one.known, cleared, start), (one.unknown, WORLD_CLEAR, base)):
+        start = rolled_out(world, world, range(one.known.rollouts))
+        for gain, planned, before in ((one.known, cleared, start), (one.unknown, world, base)):
             after = rolled_out(planned, cleared, range(gain.rollouts))
-            assert gain.cells.mean == pytest.approx(after[0] - before[0])
-            assert gain.robots.mean == pytest.approx(before[1] - after[1])
+            found = [gain.cells.mean, -gain.robots.mean, gain.counted.mean]
+            assert found == pytest.approx((after - before).tolist(), abs=1e-9)
+
+
+def test_gains_are_what_the_simulator_as_python_says(small: Clearing) -> None:
+    check_gains(small, WORLD_CLEAR)
     first, second = small.turns
     assert len(second.options) == len(first.options) - 1 and first.picked.threat not in small.picks[1:]
     far = range(RUNS, 2 * RUNS)
@@ -397,27 +399,15 @@ def test_gains_are_what_the_simulator_as_python_says(small: Clearing) -> None:
 def test_where_cells_are_worth_something_gains_are_in_value() -> None:
     value = np.where(np.arange(9) >= 5, 12.5, 1.0) * np.ones((6, 1))
     valued = WORLD_CLEAR.with_values(value)
-    answer = find_clearing(
-        valued, WORLD_CLEAR.starts, Settings(), RolloutChoices(rollouts=RUNS, seed=3, engine="numba", exact="never")
-    )
-    base = rolled_out(valued, valued, range(RUNS))
-    for one in answer.options:
-        cleared = one.threat.cleared(valued)
-        assert one.known is not None and one.known.value is not None and one.unknown.value is not None
-        start = rolled_out(valued, valued, range(one.known.rollouts))
-        for gain, planned, before in ((one.known, cleared, start), (one.unknown, valued, base)):
-            after = rolled_out(planned, cleared, range(gain.rollouts))
-            assert gain.cells.mean == pytest.approx(after[0] - before[0])
-            assert gain.counted.mean == pytest.approx(after[2] - before[2], abs=1e-9)
+    answer = find_clearing(valued, WORLD_CLEAR.starts, Settings(), CHOICES)
+    check_gains(answer, valued)
     through = [one.known.counted.mean for one in answer.options if one.known and one.known.rollouts == RUNS]
     best = answer.turns[0].picked.known
     assert best is not None and best.counted.mean == max(through) and answer.unit == "of value"
     found = answer.to_json()
     assert found["value_gain"] == answer.gain.value.to_json() and found["threats"][0]["unknown"]["value"]  # type: ignore[union-attr]
     assert " of value " in removal_summary(answer)
-    assert answer.gain is not None and answer.gain.counted.describe(unit=" of value") in removal_summary(
-        answer
-    )  # fresh rollouts
+    assert answer.gain.counted.describe(unit=" of value") in removal_summary(answer)  # fresh rollouts
     assert best.counted.describe(unit=" of value") not in removal_summary(answer)
 
 
