@@ -117,9 +117,7 @@ def world_with(world: World, **changes: Any) -> World:
     """The same world with something changed."""
     facts = {
         "threat": world.threat.copy(),
-        "starts": world.starts,
-        "cell_size": world.cell_size,
-        "origin": world.origin,
+        **{name: getattr(world, name) for name in ("starts", "cell_size", "origin")},
     }
     return World.create(**(facts | changes))
 

@@ -642,15 +642,8 @@ def test_it_only_moves_on() -> None:
 
 def test_plans_without_areas_and_many_robots() -> None:
     trace, plan, world = small(robots=60)
-    none = Trace(
-        trace.rollout,
-        trace.cells,
-        trace.doing,
-        np.full_like(trace.areas, -1),
-        trace.events[trace.events[:, 2] == EventKind.HIT],
-        np.full_like(trace.area_of, -1),
-        trace.outcome,
-    )
+    lost, areas, area_of = trace.events[:, 2] == EventKind.HIT, trace.areas, trace.area_of
+    none = replace(trace, areas=np.full_like(areas, -1), events=trace.events[lost], area_of=np.full_like(area_of, -1))
     assert picture_png(none, stage(foreign_plan(world, plan), world, "open")) != picture_png(trace, stage(plan, world))
 
 
