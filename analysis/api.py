@@ -34,8 +34,8 @@ from planner.plan_team import plan_team, read_plan_on
 from planner.policies.rules import InAreaOrder
 from planner.rollouts.names import EngineName
 from planner.settings import BEST, OPTIONS, SETTINGS, Choices, Policy, Settings
-from planner.world.levels import starts_of
 from planner.world.scenario import with_route
+from planner.world.start_rule import starts_of
 from planner.world.world import World, check_starts
 
 if TYPE_CHECKING:

@@ -20,7 +20,6 @@ from planner.plan.plan import FORMAT, Plan
 from planner.plan.state import MissionState
 from planner.policies.rules import PER_CELL
 from planner.settings import BEARING, BEST, KEPT, OPTIONS, Choices, Settings
-from planner.world.features import seeing
 from planner.world.keys import named_files, read_yaml
 from planner.world.map_files import YAML
 from planner.world.world import EXAMPLE, World, check_starts
@@ -96,7 +95,7 @@ class Asked:
     def load(self) -> World:
         """The world of the INPUT. Raises InputError."""
         world = load_world(self.source, self.cell_size).with_pace(self.step_seconds, self.speed, self.turn)
-        return world if self.sensor_range is None else seeing(world, self.sensor_range)
+        return world if self.sensor_range is None else world.seeing(self.sensor_range)
 
 
 def load_task(asked: Asked) -> Task:
@@ -105,7 +104,7 @@ def load_task(asked: Asked) -> Task:
     Robots come from `--starts`, else from the input's starts, else `--robots` (else the input's count, else 1) placed
     by the start rule. Raises InputError when they contradict each other.
     """
-    from planner.world.levels import check_robots, check_same_team, place_starts
+    from planner.world.start_rule import check_robots, check_same_team, place_starts
 
     robots, starts = asked.robots, asked.starts
     check_robots(robots)
@@ -327,8 +326,8 @@ def generate_world(
 ) -> tuple[World, tuple[str, ...]]:
     """(world, notes): a random world of SPEC section 8, or the INPUT `on` with random threats on its free cells."""
     from planner.world.generate import PAPER_LEVELS, ThreatPattern, check_pattern, random_threats, random_world
-    from planner.world.levels import check_robots, place_starts
     from planner.world.robot_types import independent
+    from planner.world.start_rule import check_robots, place_starts
 
     if on is not None and (size is not None or obstacles is not None):
         raise UsageError(

@@ -535,7 +535,7 @@ def _draw(axes: Axes, world: World, plan: Plan | None, more: str) -> Key:
     starts = world.starts if plan is None else plan.starts
     accessible = world.free if starts is None else world.accessible(starts)
     settings = world.team.settings.get("levels") if plan is None else plan.settings and plan.settings.levels
-    levels = find_levels(world, accessible, settings or MOST_LEVELS)
+    levels = find_levels(world.threat, accessible, settings or MOST_LEVELS)
     threat = np.nan_to_num(world.threat.astype(np.float64))
     known = threat_scale(levels.values, float(threat[accessible].max(initial=0.0)))
     paint(axes, world, accessible, threat, ScalarMappable(known.norm, known.colours))

@@ -6,6 +6,7 @@ The public API: `import mrac_jax as mrac`, then `mrac.load`, `mrac.plan`, `mrac.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
 from importlib.metadata import distributions
@@ -67,15 +68,15 @@ ELSEWHERE = {
 }
 """The module of a name, if it is not `analysis.api`."""
 OF_0_3 = {
-    "with_hazard": ("planner.world.changing_maps", "World.with_latent_hazard"),
-    "with_maps": ("planner.world.changing_maps", "World.with_maps"),
-    "with_movers": ("planner.world.features", "World.with_moving_threats"),
-    "with_phases": ("planner.world.changing_maps", "World.with_phases"),
-    "with_prior": ("planner.world.features", "World.with_prior_map"),
-    "with_sense": ("planner.world.features", "World.with_sensor_range"),
-    "with_spread": ("planner.world.changing_maps", "World.with_spread"),
-    "with_truth": ("planner.world.features", "World.with_true_map"),
-    "to_networkx": ("planner.world.levels", "World.to_networkx"),
+    "with_hazard": ("planner.world.world", "World.with_latent_hazard"),
+    "with_maps": ("planner.world.world", "World.with_maps"),
+    "with_movers": ("planner.world.world", "World.with_moving_threats"),
+    "with_phases": ("planner.world.world", "World.with_phases"),
+    "with_prior": ("planner.world.world", "World.with_prior_map"),
+    "with_sense": ("planner.world.world", "World.with_sensor_range"),
+    "with_spread": ("planner.world.world", "World.with_spread"),
+    "with_truth": ("planner.world.world", "World.with_true_map"),
+    "to_networkx": ("planner.world.world", "World.to_networkx"),
     "attack": ("analysis.api", "threats(..., add=1)"),
     "clear": ("analysis.api", "threats(..., remove=1)"),
     "mission": ("analysis.api", "drive"),
@@ -97,6 +98,8 @@ def __getattr__(name: str) -> Any:
         module, new = OF_0_3[name]
         import_module("planner.errors").warn_renamed(f"mrac_jax.{name}", f"mrac_jax.{new}")
         home = import_module(module)
+        if new.startswith("World."):
+            return _with_names_of_0_3(getattr(home.World, new.removeprefix("World.")))
         return getattr(home, name, None) or home.OF_0_3[name]
     home = import_module(ELSEWHERE.get(name, "analysis.api"))
     if name in MODULES:
@@ -105,6 +108,16 @@ def __getattr__(name: str) -> Any:
     if not isinstance(found, FunctionType):
         return found
     return import_module("analysis.utils.notes").with_hints(found, _functions)
+
+
+def _with_names_of_0_3(method: Callable[..., Any]) -> Callable[..., Any]:
+    """A method of World as the function of release 0.3: the world first, and its names of arguments."""
+    today = {"sense": "sensor_range", "truth": "true_map", "movers": "threats"}
+
+    def call(world: Any, *given: Any, **named: Any) -> Any:
+        return method(world, *given, **{today.get(name, name): value for name, value in named.items()})
+
+    return call
 
 
 def _functions() -> dict[str, FunctionType]:

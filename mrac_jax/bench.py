@@ -35,7 +35,7 @@ from planner.rollouts.engine import closed_loop_engine, open_loop_engine
 from planner.rollouts.open_loop import available_cores, compile_plan
 from planner.tally import RolloutResults
 from planner.world.generate import Kind, ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 
 Call = Callable[[int, int], Any]
 """Rolls out `(start, count)`."""

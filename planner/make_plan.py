@@ -21,8 +21,8 @@ from planner.settings import Settings
 from planner.simulator.codes import NO_ROBOT
 from planner.simulator.searches import NOT_WANTED, UNREACHED
 from planner.simulator.thresholds import MOST
-from planner.world.features import as_planned
 from planner.world.levels import NO_LEVEL
+from planner.world.scenario_features import as_planned
 from planner.world.world import World
 
 MEDIUM, LARGE = 2**10, 2**18

@@ -22,6 +22,8 @@ class TallyError(MracError):
     """Tallies that cannot be added: of different plans, or with the same rollouts."""
 
 
+COUNTS_OF_0_3 = {"by_luck": "by_threshold"}
+"""Counts of a tally in files of release 0.3: old to new name."""
 WORDS_OF_0_3 = {
     "stopped": "all_robots_lost",
     "stuck": "no_progress",

@@ -21,7 +21,7 @@ import mrac_jax as mrac
 from analysis.statistics.estimates import Estimate
 from planner.plan.plan import Plan
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 WORLDS, LEAST = 10, 0.93

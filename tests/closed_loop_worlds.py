@@ -22,7 +22,7 @@ from planner.rollouts.loop import ClosedLoop
 from planner.settings import Settings
 from planner.simulator.codes import NO_ROBOT
 from planner.world.generate import PAPER_LEVELS, Stream, ThreatPattern, random_threats, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 CELL_BUCKETS = (64, 160, 448)

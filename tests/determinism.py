@@ -37,10 +37,8 @@ from planner.rollouts.engine import Engine, Rolling, closed_loop_engine, make_en
 from planner.rollouts.open_loop import compile_plan
 from planner.rollouts.single_run import PythonLoop
 from planner.settings import Settings
-from planner.world.changing_maps import with_hazard, with_maps, with_spread
-from planner.world.features import with_prior, with_sense, with_truth
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.uncertain_maps import SHARED
 from planner.world.world import World
 
@@ -62,31 +60,30 @@ def sense(draw: random.Random) -> dict[str, Any]:
 def hazards(number: int, draw: random.Random) -> World:
     world, learn = plain(number, draw), draw.random() < 0.5
     q = np.where(world.free, np.where(world.threat > 0, draw.choice((0.2, 0.6)), 0.0), np.nan)
-    world = with_hazard(
-        World.create(np.where(world.free, 0.0, np.nan)),
+    world = World.create(np.where(world.free, 0.0, np.nan)).with_latent_hazard(
         draw.choice(("persistent", "consumed")),
         q,
         draw.choice((0.3, 0.9)),
         learn,
     )
     rates = {"detect": draw.choice((0.9, 0.5)), "false_alarm": draw.choice((0.1, 0.3))}
-    return with_sense(world, sense(draw) | rates) if learn and draw.random() < 0.6 else world
+    return world.with_sensor_range(sense(draw) | rates) if learn and draw.random() < 0.6 else world
 
 
 def doubtful(number: int, draw: random.Random) -> World:
     world = plain(number, draw)
     if draw.random() < 0.5:
-        return with_spread(world, *draw.choice((("lognormal", 0.5), ("beta", 20.0))), draw.choice(SHARED))
+        return world.with_spread(*draw.choice((("lognormal", 0.5), ("beta", 20.0))), draw.choice(SHARED))
     maps = [np.where(world.free, np.roll(np.nan_to_num(world.threat), shift, axis=1), np.nan) for shift in range(3)]
-    return with_maps(world, maps, draw.choice((None, 0.9)))
+    return world.with_maps(maps, draw.choice((None, 0.9)))
 
 
 def untold(number: int, draw: random.Random) -> World:
     world = plain(number, draw)
     if draw.random() < 0.5:
-        return with_prior(world, draw.choice((0.0, 0.05)), draw.choice(("unknown", "known")), sense(draw))
+        return world.with_prior_map(draw.choice((0.0, 0.05)), draw.choice(("unknown", "known")), sense(draw))
     believed = World.create(np.where(np.roll(world.free, 1, axis=0) & world.free, world.threat, 0.0))
-    return with_truth(believed, world, sense(draw))
+    return believed.with_true_map(world, sense(draw))
 
 
 WORLDS: dict[str, Callable[[int, random.Random], World]] = {

@@ -23,13 +23,11 @@ from planner.rollouts.single_run import SingleRun
 from planner.rollouts.single_run import play as played
 from planner.settings import Settings
 from planner.simulator.codes import Outcome
-from planner.world.changing_maps import with_hazard, with_maps, with_phases, with_spread
-from planner.world.features import PlannedOn, with_movers, with_prior, with_sense, with_truth
 from planner.world.generate import PAPER_LEVELS, ThreatPattern, random_world
-from planner.world.levels import place_starts
-from planner.world.moving_threats import ANYWHERE, MovingThreat
+from planner.world.moving_threats import ANYWHERE, MovingThreat, PlannedOn
 from planner.world.robot_types import checked_types
 from planner.world.scenario import load_input
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # --- Worlds of tests: uncertain maps, moving threats, teams of several types, scenarios with threats.
@@ -48,10 +46,10 @@ def tiny_world(seed: int, height: int, width: int, wall: float = np.nan) -> Worl
 BASE = random_world(9, 9, ThreatPattern("scattered", 4, (0.04, 0.12, 0.2), 5), obstacles=0.2, threats=0.3)
 DANGER = np.where(BASE.threat > 0, 1.0, 0.0)
 WORLDS = {
-    "persistent": with_hazard(BASE, "persistent", 0.3 * DANGER, 0.5),
-    "consumed": with_hazard(BASE, "consumed", 0.6 * DANGER, 0.9),
-    "maps": with_maps(BASE, [BASE.threat, np.minimum(4 * BASE.threat, np.float32(0.9)), 0 * BASE.threat]),
-    "level": with_spread(BASE, "beta", 4.0, "level"),
+    "persistent": BASE.with_latent_hazard("persistent", 0.3 * DANGER, 0.5),
+    "consumed": BASE.with_latent_hazard("consumed", 0.6 * DANGER, 0.9),
+    "maps": BASE.with_maps([BASE.threat, np.minimum(4 * BASE.threat, np.float32(0.9)), 0 * BASE.threat]),
+    "level": BASE.with_spread("beta", 4.0, "level"),
 }
 """Of every kind one."""
 Play = Callable[[Callable[[int, int, int], bool]], np.ndarray]
@@ -170,7 +168,7 @@ def moving_world(
         else:
             start = int(random.choice(free)) if told else ANYWHERE
             movers.append(MovingThreat(hit, float(random.choice([0, 0.2, 0.5])), start))
-    return with_movers(world, movers, plan_on)
+    return world.with_moving_threats(movers, plan_on)
 
 
 def in_rows(world: World) -> tuple[list[list[float | None]], list[Threat]]:
@@ -279,26 +277,28 @@ def _world(rng: np.random.Generator, number: int) -> tuple[World, str]:
     danger = np.where(np.nan_to_num(world.threat) > 0, 1.0, 0.0)
     if kind in ("hazard", "learned", "detector"):
         how = str(rng.choice(["persistent", "consumed"]))
-        world = with_hazard(world, how, 0.4 * danger, float(rng.choice([0.3, 0.9, 1.0])), kind != "hazard")
+        world = world.with_latent_hazard(how, 0.4 * danger, float(rng.choice([0.3, 0.9, 1.0])), kind != "hazard")
         if kind == "detector":
-            world = with_sense(world, {"range": 2, "detect": 0.8, "false_alarm": 0.1})
+            world = world.with_sensor_range({"range": 2, "detect": 0.8, "false_alarm": 0.1})
     elif kind == "maps":
         other = np.minimum(3 * world.threat, np.float32(0.9))
-        world = with_maps(world, [world.threat, other, 0 * world.threat])
+        world = world.with_maps([world.threat, other, 0 * world.threat])
         if rng.random() < 0.5:
-            world = with_prior(world, 0.04, sense=float(rng.choice([1, 2])))
+            world = world.with_prior_map(0.04, sensor_range=float(rng.choice([1, 2])))
     elif kind == "spread":
-        world = with_spread(world, "beta", 4.0, str(rng.choice(["common", "level"])))
+        world = world.with_spread("beta", 4.0, str(rng.choice(["common", "level"])))
     elif kind == "phases":
         later = np.where(np.isnan(world.threat), np.nan, np.nan_to_num(world.threat)[::-1, ::-1])
-        world = with_phases(
-            world, [(0, world), (int(rng.integers(4, 30)), later)], str(rng.choice(["now", "first", "worst"]))
+        world = world.with_phases(
+            [(0, world), (int(rng.integers(4, 30)), later)], str(rng.choice(["now", "first", "worst"]))
         )
     elif kind == "prior":
-        world = with_prior(world, 0.04, str(rng.choice(["unknown", "known"])), sense=float(rng.choice([1, 2, 3])))
+        world = world.with_prior_map(
+            0.04, str(rng.choice(["unknown", "known"])), sensor_range=float(rng.choice([1, 2, 3]))
+        )
     elif kind == "truth":
         truth = random_world(height, width, replace(threats, seed=threats.seed + 1), obstacles=0.15, threats=0.3)
-        world = with_truth(world, truth, sense=float(rng.choice([1, 2])))
+        world = world.with_true_map(truth, sensor_range=float(rng.choice([1, 2])))
     elif kind == "moving":
         world = moving_world(number, most=9)
     elif kind == "types":

@@ -18,7 +18,7 @@ from planner.make_plan import make_plan
 from planner.rollouts import closed_loop, open_loop_numba, runners
 from planner.rollouts.open_loop import compile_plan
 from planner.settings import Settings
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 POLICIES: tuple[dict[str, Any], ...] = (

@@ -15,7 +15,7 @@ from planner.make_plan import make_plan
 from planner.mission.mission import Mission
 from planner.plan.plan import Plan
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 

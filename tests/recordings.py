@@ -23,7 +23,7 @@ from planner.mcap import LogMessage
 from planner.plan.plan import Plan, RobotPlan
 from planner.settings import Settings
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # Shared by the tests of recordings: small worlds with their plans, and recordings rewritten with something changed.

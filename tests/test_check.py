@@ -53,7 +53,7 @@ from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.settings import Choices, Settings
 from planner.simulator.codes import Outcome
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # Formulas against the true_map: verdicts, the command, planted faults, surveys, and the smallest worlds that fail.

@@ -27,8 +27,7 @@ from planner.errors import UsageError
 from planner.make_plan import make_plan
 from planner.plan.plan import Plan
 from planner.settings import Settings
-from planner.world.features import with_prior, with_sense
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
@@ -166,7 +165,7 @@ def test_two_sensors_on_the_same_luck(capsys: pytest.CaptureFixture[str], tmp_pa
     assert 0 < low < high and found["difference"]["visited"]["gain"] > 2
     world = load_world(str(scenario))
     for side, far in (("a", 1), ("b", inf)):
-        seeing = with_sense(world, far)
+        seeing = world.with_sensor_range(far)
         plan = make_plan(seeing, place_starts(seeing, 2)[0])
         alone = (
             make_singles(seeing, plan, RolloutChoices(rollouts=2048))(0, 2048).visited.mean()
@@ -175,8 +174,8 @@ def test_two_sensors_on_the_same_luck(capsys: pytest.CaptureFixture[str], tmp_pa
         assert found[side]["mean"]["visited"] == pytest.approx(alone, abs=0.02)
     told = team(2)
     for known, words in ((None, "known map"), (1, "robots see 1 cell far")):
-        one = told[0] if known is None else with_prior(told[0], 0.04, sense=known)
-        dark = with_prior(told[0], 0.04, sense=2)
+        one = told[0] if known is None else told[0].with_prior_map(0.04, sensor_range=known)
+        dark = told[0].with_prior_map(0.04, sensor_range=2)
         sides = (make_side(w, make_plan(w, told[1].starts), RolloutChoices(rollouts=64)) for w in (one, dark))
         assert compare(*sides).differing == ((words,), ("robots see 2 cells far",))
     assert "error: B:" in (said := error_of(capsys, "compare", WORLD, "--b.sense", "1")) and "has no effect" in said

@@ -29,8 +29,8 @@ from planner.formatting import percent
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.single_run import PythonLoop
 from planner.settings import OPTIONS, SETTINGS
-from planner.world.levels import place_starts
 from planner.world.scenario import load_input
+from planner.world.start_rule import place_starts
 
 # README.md and the documents: examples run or parse as pasted, and files and modules that are named are there.
 

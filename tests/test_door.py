@@ -25,7 +25,7 @@ from planner.errors import InputError, PlanError, RenamedWarning, UsageError, Wo
 from planner.make_plan import make_plan
 from planner.settings import Choices, Settings
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # The front door, `import mrac_jax as mrac`: names, laziness, the five everyday jobs, and other people's packages.

@@ -31,7 +31,7 @@ from planner.mission.map_updates import ended
 from planner.plan.plan import Plan
 from planner.simulator.codes import Outcome
 from planner.world.generate import Stream, ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 ROW = World.create(np.array([[0.0, 0.0, 0.0, 0.5, 0.0]]))

@@ -30,9 +30,8 @@ from planner.settings import Policy, Settings
 from planner.simulator.codes import Outcome
 from planner.simulator.offers import Offer
 from planner.simulator.thresholds import threshold_of
-from planner.world.changing_maps import with_hazard
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import Team, World
 
 # The environment in JAX against a plain twin of the rules, step for step; its conventions; the luck of rollouts.
@@ -259,7 +258,7 @@ def test_the_first_offers_of_a_rule_are_its_closed_loop(policy: Policy) -> None:
     for seed in range(1, 4):
         there = world(seed)
         if seed > 2:
-            there = with_hazard(there, "consumed", 3 * np.nan_to_num(there.threat), 0.4)
+            there = there.with_latent_hazard("consumed", 3 * np.nan_to_num(there.threat), 0.4)
         plan = make_plan(there, place_starts(there, 4)[0], Settings(policy=policy))
         loop = PythonLoop(plan, there)
         for rollout in range(2):
@@ -277,7 +276,7 @@ def test_the_first_offers_of_a_rule_are_its_closed_loop(policy: Policy) -> None:
 def test_rollouts_of_one_loop_may_go_on_in_turn(rule: str) -> None:
     """They share scratch, and each has its own luck: what robots meet in doubt too. Choices are drawn."""
     there = world(3)
-    there = with_hazard(there, "consumed", 3 * np.nan_to_num(there.threat), 0.4)
+    there = there.with_latent_hazard("consumed", 3 * np.nan_to_num(there.threat), 0.4)
     loop = PythonLoop(make_plan(there, place_starts(there, 4)[0], Settings(policy=rule)), there)
 
     def go_on(run: ChosenRun, draw: np.random.Generator) -> None:

@@ -72,7 +72,7 @@ from planner.plan.state import NO_CELLS, MissionState, RobotState
 from planner.settings import Settings
 from planner.simulator.codes import Outcome
 from planner.tally import Tally, tally_key
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World, load_world_file
 
 # What an evaluation says in words: every share and mean follows from the tally, and none claims more than it.

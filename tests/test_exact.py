@@ -38,9 +38,8 @@ from planner.rollouts.exact_tree import WHOLE, Tree, grow_tree
 from planner.rollouts.runners import Runner
 from planner.settings import Policy, Settings
 from planner.simulator.codes import Outcome
-from planner.world.changing_maps import with_hazard
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 
@@ -539,7 +538,7 @@ def test_no_tree_is_grown_where_all_is_left_at_the_first_cut() -> None:
 def test_no_tree_where_maps_are_in_doubt_or_teams_too_large() -> None:
     world = random_world(20, 20, ThreatPattern(seed=1))
     assert tree_for(make_plan(world, place_starts(world, 20)[0]), world) is None
-    doubt = with_hazard(World.create([[0.0, 0.2, 0.0]]), "persistent", 0.5)
+    doubt = World.create([[0.0, 0.2, 0.0]]).with_latent_hazard("persistent", 0.5)
     assert tree_for(make_plan(doubt, [[0, 0]]), doubt) is None
     loop = compile_closed_loop(make_plan(doubt, [[0, 0]]), doubt)
     assert grow_tree(loop, 1.0, 1000) is None

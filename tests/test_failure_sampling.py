@@ -55,8 +55,8 @@ from planner.simulator.jit import compiled, program
 from planner.simulator.thresholds import CERTAIN, LEAST, MOST, exp1_hazard, threefry2x32, threshold_of
 from planner.tally import WORDS_OF_0_3, Tally
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
 from planner.world.scenario import load_input
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # Failure thresholds: numbers against an independent implementation's, engines against its rollouts and each other.

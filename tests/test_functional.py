@@ -33,9 +33,8 @@ from planner.rollouts.open_loop import compile_plan
 from planner.rollouts.runners import Runner
 from planner.settings import Settings
 from planner.simulator.jit import interpreted
-from planner.world.changing_maps import with_hazard
 from planner.world.generate import random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 N = 3000
@@ -340,7 +339,7 @@ def test_numbers_are_checked() -> None:
 def test_plans_that_are_not_of_this_map_or_model_are_refused() -> None:
     _, _, world, plan = small()
     other = World.create(world.threat * np.float32(0.5), starts=world.starts)
-    doubtful = with_hazard(world, "persistent", 0.5)
+    doubtful = world.with_latent_hazard("persistent", 0.5)
     with pytest.raises(PlanError, match="plan for another map"):
         F.arrays(other, plan)
     with pytest.raises(WorldError, match="requires one known map"):
@@ -463,7 +462,7 @@ def test_the_closed_loop_gradient_on_the_device() -> None:
 def test_what_has_no_closed_loop_gradient_is_refused(monkeypatch: pytest.MonkeyPatch, as_python: None) -> None:
     world = random_world(4, 5)
     plan = make_plan(world, place_starts(world, 2)[0])
-    doubtful = with_hazard(world, "persistent", 0.5)
+    doubtful = world.with_latent_hazard("persistent", 0.5)
     with pytest.raises(WorldError, match="requires one known map"):
         closed_loop_gradient(doubtful, at(plan, doubtful))
     with pytest.raises(PlanError, match=r"Weibull shape 2; leave `weibull_shape`"):

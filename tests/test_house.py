@@ -38,7 +38,7 @@ from planner.rollouts.engine import closed_loop_engine
 from planner.rollouts.open_loop import compile_plan
 from planner.tally import Tally
 from planner.world.generate import random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 
 # The house: imports point back along planner -> analysis -> mrac_jax, oracles see no engine, and names no host.
 

@@ -36,12 +36,10 @@ from planner.simulator.jit import interpreted
 from planner.simulator.state import ALARM, SILENCE
 from planner.simulator.thresholds import threefry2x32
 from planner.tally import Trace
-from planner.world.changing_maps import with_hazard, with_maps, with_phases, with_spread
-from planner.world.features import with_prior, with_sense, with_truth
 from planner.world.generate import Stream, ThreatPattern, random_world
-from planner.world.levels import place_starts
 from planner.world.map_knowledge import NAT, Sense, chance_of
 from planner.world.scenario import load_input
+from planner.world.start_rule import place_starts
 from planner.world.uncertain_maps import bounds_of
 from planner.world.world import World
 
@@ -83,7 +81,7 @@ def script(truth, stops):
 
 def both(believed, truth, starts, sense, stops):
     """A scripted run by the simulator and by the twin: paths, visited cells, outcome of each."""
-    world = with_truth(World.create(believed), truth, sense)
+    world = World.create(believed).with_true_map(truth, sense)
     plan = make_plan(world, starts)
     loop, hit, width = compile_closed_loop(plan, world, interpreted=True), script(truth, stops), world.shape[1]
     run = play(SingleRun(loop, hit=lambda i, t, cell: hit(i, t, divmod(cell, width))))
@@ -143,7 +141,7 @@ def fuzz(number):
     """One run in a drawn world ends as Theorem 2 says."""
     stream = Stream(number, 1515)
     believed, truth, starts, sense = drawn(number, stream)
-    world = with_truth(World.create(believed), truth, sense)
+    world = World.create(believed).with_true_map(truth, sense)
     settings = Settings(**POLICIES_UNKNOWN[number % len(POLICIES_UNKNOWN)])
     if number % 5 == 0:
         settings = replace(settings, range=4 + stream.below(12))
@@ -186,14 +184,14 @@ def test_who_believes_the_truth_runs_as_told(policy):
     starts, _ = place_starts(told, 4)
     plan = make_plan(told, starts, Settings(policy=policy))
     for sense in (0, 1, {"range": 4, "sight": True}, inf):
-        world = with_truth(told, told.threat, sense)
+        world = told.with_true_map(told.threat, sense)
         assert make_plan(world, starts, plan.settings).to_json() == plan.to_json()
         mine, theirs = (trace_rollouts(compile_closed_loop(plan, one), 7, range(5)) for one in (world, told))
         assert mine == theirs
 
 
 def test_what_an_area_would_show_is_counted_cell_by_cell():
-    world = with_prior(random_world(7, 9, ThreatPattern(seed=2)), 0.04, sense=1.5)
+    world = random_world(7, 9, ThreatPattern(seed=2)).with_prior_map(0.04, sensor_range=1.5)
     starts, _ = place_starts(world, 2)
     problem = prepare(world, starts, Settings(policy="frontier"))
     run = PythonLoop(make_plan(world, starts, problem.settings), world).begin(0, 0)
@@ -219,7 +217,7 @@ def sees_all(one, policy):
     """A survey world's runs by robots that see everything at once are those of robots that were told."""
     settings = replace(one.settings, policy=policy)
     mixed = replace(one.world, threat=mixed_up(one.world, Stream(11, 1516)), starts=None)
-    world = with_truth(mixed, one.world.threat, inf)
+    world = mixed.with_true_map(one.world.threat, inf)
     problem, told = prepare(world, one.starts, settings), prepare(one.world, one.starts, settings)
     if len(problem.levels.values) != len(told.levels.values):
         return False  # some level is out of reach: another scale of costs
@@ -282,32 +280,36 @@ def test_sight_is_that_of_a_walk_along_the_segment(radius):
 def test_worlds_say_what_is_wrong_with_them(tmp_path):
     world = World.create([[0.0, 0.1], [np.nan, 0.0]])
     with pytest.raises(WorldError, match=r"wrong about an obstacle at \[1, 0\] \(1 such cells\)"):
-        with_prior(world, 0.1)
+        world.with_prior_map(0.1)
     with pytest.raises(WorldError, match="0, or a number of cells from 1 on"):
-        with_prior(world, 0.1, "known", 0.5)
+        world.with_prior_map(0.1, "known", 0.5)
     with pytest.raises(WorldError, match="the cells of the prior map"):
-        with_truth(world, [[0.0]], 1)
+        world.with_true_map([[0.0]], 1)
     with pytest.raises(WorldError, match="a sensor range has no effect"):
-        with_sense(world, 2)
+        world.with_sensor_range(2)
     with pytest.raises(WorldError, match=r"robot 0 starts at .* an obstacle"):
-        make_plan(with_prior(world, 0.1, sense=1), [[1, 0]])
+        make_plan(world.with_prior_map(0.1, sensor_range=1), [[1, 0]])
 
 
 def test_a_world_file_keeps_what_robots_are_not_told(tmp_path):
     from planner.world.scenario import load_input
 
-    world = with_prior(random_world(6, 6, ThreatPattern(seed=2)), 0.1, sense={"range": 2, "sight": True})
+    world = random_world(6, 6, ThreatPattern(seed=2)).with_prior_map(0.1, sensor_range={"range": 2, "sight": True})
     world.save(tmp_path / "w.npz")
     again = load_input(tmp_path / "w.npz")
     assert again.randomness_sha256 == world.randomness_sha256 and again.knowledge.sense == Sense(2, True)
-    assert with_sense(world, 3).randomness_sha256 != world.randomness_sha256 != with_sense(world, 2).randomness_sha256
+    assert (
+        world.with_sensor_range(3).randomness_sha256
+        != world.randomness_sha256
+        != world.with_sensor_range(2).randomness_sha256
+    )
 
 
 # Robots that are not told the map: counts, and the tree.
 
 
 def paper_like(policy="mrac", sense=2, side=12, robots=4, **more):
-    world = with_prior(random_world(side, side, ThreatPattern(seed=5)), 0.04, sense=sense)
+    world = random_world(side, side, ThreatPattern(seed=5)).with_prior_map(0.04, sensor_range=sense)
     starts, _ = place_starts(world, robots)
     return world, make_plan(world, starts, Settings(policy=policy, **more))
 
@@ -328,13 +330,13 @@ def test_robots_learn_which_of_several_maps_is_true(policy):
     base = random_world(8, 8, ThreatPattern(areas=3, seed=1))
     maps = [random_world(8, 8, ThreatPattern(areas=3, seed=seed)).threat for seed in range(1, 5)]
     maps = [np.where(base.free, np.nan_to_num(one), np.nan) for one in maps]
-    starts, _ = place_starts(with_maps(base, maps), 3)
+    starts, _ = place_starts(base.with_maps(maps), 3)
     for world in (
-        with_maps(base, maps),
-        with_prior(with_maps(base, maps), 0.04, sense=2),
-        with_spread(base, "beta", 9),
+        base.with_maps(maps),
+        base.with_maps(maps).with_prior_map(0.04, sensor_range=2),
+        base.with_spread("beta", 9),
     ):
-        world = with_sense(world, 1.5)
+        world = world.with_sensor_range(1.5)
         plan = make_plan(world, starts, Settings(policy=policy))
         play_both_ways(plan, world, 2, 4)
         tally, results = run_range(compile_closed_loop(plan, world), 2, 0, 12, threads=1, singles=True)
@@ -373,8 +375,8 @@ def test_what_a_sensor_is_worth():
     starts, _ = place_starts(world, 8)
     covered = {}
     for name, one in {
-        "told": with_prior(world, 0.04, sense=inf), 1: with_prior(world, 0.04, sense=1),
-        3: with_prior(world, 0.04, sense=3), "blind": with_prior(world, 0.04, "known"),
+        "told": world.with_prior_map(0.04, sensor_range=inf), 1: world.with_prior_map(0.04, sensor_range=1),
+        3: world.with_prior_map(0.04, sensor_range=3), "blind": world.with_prior_map(0.04, "known"),
     }.items():  # fmt: skip
         loop = compile_closed_loop(make_plan(one, starts), one)
         tally = run_range(loop, 1, 0, 500)[0]
@@ -385,7 +387,7 @@ def test_what_a_sensor_is_worth():
 
 def test_knowledge_is_part_of_the_identity_and_jax_says_no():
     world, plan = paper_like()
-    loops = [compile_closed_loop(plan, with_sense(world, sense)) for sense in (2, 3, {"range": 2, "sight": True})]
+    loops = [compile_closed_loop(plan, world.with_sensor_range(sense)) for sense in (2, 3, {"range": 2, "sight": True})]
     assert len({loop.identity for loop in loops}) == 3
     assert make_engine(plan, world, Rolling(), "numba").accessible == loops[0].accessible
     pytest.importorskip("jax")
@@ -419,7 +421,7 @@ def planned(number: int) -> tuple[World, World, Plan, dict[str, Any]]:
     stream = Stream(number, 1515)
     believed, truth, starts, sense = drawn(number, stream)
     world, settings = (
-        with_truth(World.create(believed), truth, sense),
+        World.create(believed).with_true_map(truth, sense),
         Settings(**POLICIES_UNKNOWN[number % len(POLICIES_UNKNOWN)]),
     )
     settings = replace(settings, in_area="boustrophedon" if number % 4 == 1 else "nearest")
@@ -492,7 +494,7 @@ def test_so_they_do_on_thousands_of_worlds(part: int) -> None:
 def test_a_way_home_that_is_not_as_believed_by_hand() -> None:
     """A ring of eight cells around an obstacle: on the far side the robot sees that the way ahead is blocked."""
     blocked = np.array([[0, 0, 0], [0, np.nan, 0], [0, 0, np.nan]])
-    world = with_truth(World.create([[0, 0, 0], [0, np.nan, 0], [0, 0, 0]]), blocked, {"range": 1, "sight": False})
+    world = World.create([[0, 0, 0], [0, np.nan, 0], [0, 0, 0]]).with_true_map(blocked, {"range": 1, "sight": False})
     plan = make_plan(world, [[0, 0]], Settings(return_to="home"))
     trace = trace_rollouts(compile_closed_loop(plan, world), 0, [0])[0]
     assert trace.cells[-1, 0] == 0 and len(np.unique(trace.cells)) == 7
@@ -500,7 +502,7 @@ def test_a_way_home_that_is_not_as_believed_by_hand() -> None:
 
 
 def test_the_tree_of_robots_that_learn_and_come_home() -> None:
-    world = with_prior(World.create([[0, 0.1, 0.1], [0, np.nan, 0.3], [0.2, 0, 0]]), 0.1, sense=1)
+    world = World.create([[0, 0.1, 0.1], [0, np.nan, 0.3], [0.2, 0, 0]]).with_prior_map(0.1, sensor_range=1)
     plan = make_plan(world, [[0, 0], [2, 2]], Settings(return_to="nearest", range=14))
     loop = compile_closed_loop(plan, world)
     tree = grow_tree(loop, 0.0, 10**6)
@@ -524,10 +526,10 @@ DETECTORS = (None, (1.5, 0.9, 0.2), (1, 1.0, 0.1), (2, 0.6, 0.0))
 def taught(q, h, kind, detector=None):
     """A world of robots that learn."""
     q = np.array(q, dtype=np.float64)
-    world = with_hazard(World.create(np.where(np.isnan(q), N, 0)), kind, q, h, learn=True)
+    world = World.create(np.where(np.isnan(q), N, 0)).with_latent_hazard(kind, q, h, learn=True)
     if detector is None:
         return world
-    return with_sense(world, dict(zip(("range", "detect", "false_alarm"), detector, strict=True)))
+    return world.with_sensor_range(dict(zip(("range", "detect", "false_alarm"), detector, strict=True)))
 
 
 def wants(robot, step, cell):
@@ -697,10 +699,12 @@ def test_posteriors_are_calibrated_and_their_mean_is_the_prior_in_every_cell(det
 def test_what_is_known_for_certain_runs_as_before():
     for kind in ("persistent", "consumed"):
         q = np.where(FIELD.threat > 0.2, 1.0 if kind == "persistent" else 0.0, 0.0)
-        plain = with_hazard(FIELD, kind, q, 0.4)
+        plain = FIELD.with_latent_hazard(kind, q, 0.4)
         for world in (
-            with_hazard(FIELD, kind, q, 0.4, learn=True),
-            with_sense(with_hazard(FIELD, kind, q, 0.4, learn=True), {"range": 3, "detect": 0.9, "false_alarm": 0.1}),
+            FIELD.with_latent_hazard(kind, q, 0.4, learn=True),
+            FIELD.with_latent_hazard(kind, q, 0.4, learn=True).with_sensor_range(
+                {"range": 3, "detect": 0.9, "false_alarm": 0.1}
+            ),
         ):
             starts = place_starts(plain, 3)[0]
             for policy in ("mrac", "per_cell"):
@@ -721,11 +725,13 @@ def drawn_experience(number):
     q = chances[[stream.below(8) for _ in range(height * width)]].reshape(height, width)
     q.flat[stream.below(height * width)] = 0.0
     h = np.where(q == 1, 0.5, np.array([stops[stream.below(4)] for _ in range(q.size)]).reshape(q.shape))
-    world = with_hazard(World.create(np.where(np.isnan(q), N, 0)), ("persistent", "consumed")[number % 2], q, h, True)
+    world = World.create(np.where(np.isnan(q), N, 0)).with_latent_hazard(
+        ("persistent", "consumed")[number % 2], q, h, True
+    )
     if number % 3:
         rates = ((0.9, 0.1), (0.5, 0.3), (1, 0.1), (0.7, 0))[stream.below(4)]
         sense = {"range": (1, 1.5, 2, 3)[stream.below(4)], "sight": stream.below(2) == 1}
-        world = with_sense(world, sense | {"detect": rates[0], "false_alarm": rates[1]})
+        world = world.with_sensor_range(sense | {"detect": rates[0], "false_alarm": rates[1]})
     free = np.argwhere(~np.isnan(q))
     starts = free[[stream.below(len(free)) for _ in range(1 + stream.below(5))]]
     settings = Settings(**POLICIES_UNKNOWN[number % len(POLICIES_UNKNOWN)])
@@ -763,15 +769,15 @@ def test_bayes_rule_in_whole_numbers():
 def test_worlds_say_what_is_wrong_with_them_experience(tmp_path):
     world = taught([[0.2, 0.1], [0, 0]], 0.5, "persistent")
     with pytest.raises(WorldError, match="detectors, not seen"):
-        with_sense(world, 2)
+        world.with_sensor_range(2)
     with pytest.raises(WorldError, match="has no effect"):
-        with_sense(world, {"range": 2, "detect": 0.1, "false_alarm": 0.1})
+        world.with_sensor_range({"range": 2, "detect": 0.1, "false_alarm": 0.1})
     with pytest.raises(WorldError, match="drawn independently"):
-        with_hazard(world, "independent", 0.1, learn=True)
+        world.with_latent_hazard("independent", 0.1, learn=True)
     with pytest.raises(WorldError, match="do not support this uncertainty"):
-        with_prior(world, 0.1, sense=1)
+        world.with_prior_map(0.1, sensor_range=1)
     with pytest.raises(WorldError, match="learn: true"):
-        with_sense(replace(world, uncertainty=replace(world.uncertainty, learn=False)), 1)
+        replace(world, uncertainty=replace(world.uncertainty, learn=False)).with_sensor_range(1)
     plan = make_plan(world, [[0, 0]])
     with pytest.raises(WorldError, match=r"first_visit.*leave `learn` out"):
         compile_closed_loop(plan, world, first_only=True)
@@ -780,8 +786,8 @@ def test_worlds_say_what_is_wrong_with_them_experience(tmp_path):
 
 
 def test_scenarios_and_world_files_keep_it(tmp_path):
-    world = with_sense(
-        taught([[0.2, 0.1], [0, 0]], 0.5, "consumed"), {"range": 2, "detect": 0.8, "false_alarm": 0.1, "sight": True}
+    world = taught([[0.2, 0.1], [0, 0]], 0.5, "consumed").with_sensor_range(
+        {"range": 2, "detect": 0.8, "false_alarm": 0.1, "sight": True}
     )
     world.save(tmp_path / "w.npz")
     again = load_input(tmp_path / "w.npz")
@@ -889,6 +895,6 @@ def test_a_phase_that_begins_turns_who_is_on_its_way_home_by_hand() -> None:
     """Two by six cells, all visited at step 11 in [1, 0], home in [0, 5]: from step 14 on danger is above."""
     later = np.zeros((2, 6))
     later[0, 2:5] = 0.5
-    world = with_phases(World.create(np.zeros((2, 6))), [(14, later)])
+    world = World.create(np.zeros((2, 6))).with_phases([(14, later)])
     plan = make_plan(world, [[0, 0]], Settings(return_to=((0, 5),)))
     assert plan.robots[0].path.tolist() == [0, 1, 2, 3, 4, 5, 11, 10, 9, 8, 7, 6, 0, 1, 7, 8, 9, 10, 11, 5]

@@ -27,10 +27,9 @@ from planner.rollouts.single_run import PythonLoop
 from planner.settings import Settings
 from planner.simulator.codes import NO_AREA, Doing, EventKind, Outcome
 from planner.tally import Trace
-from planner.world.changing_maps import with_hazard, with_maps, with_phases
-from planner.world.features import as_planned, with_sense, with_truth
 from planner.world.generate import Stream, ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.scenario_features import as_planned
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # The mission: luck that answers its orders makes the closed loop; what robots do against orders breaks nothing.
@@ -130,7 +129,7 @@ def test_so_it_is_under_hazards_and_on_the_paths_of_another_planner(seeds: range
     ends = set()
     for seed in seeds:
         world, plan = case(seed)
-        there = with_hazard(world, "consumed" if seed % 2 else "persistent", 3 * np.nan_to_num(world.threat), 0.4)
+        there = world.with_latent_hazard("consumed" if seed % 2 else "persistent", 3 * np.nan_to_num(world.threat), 0.4)
         learnt = make_plan(there, plan.starts)
         paths = parse_plan({"paths": [p["path"] for p in plan.to_json()["robots"]]}, world, "paths")
         for rollout in range(2):
@@ -143,7 +142,7 @@ def test_so_it_is_under_hazards_and_on_the_paths_of_another_planner(seeds: range
 def test_so_it_is_on_maps_in_doubt_and_where_cells_have_a_value_or_priority(seeds: range) -> None:
     for seed in seeds:
         world, plan = case(seed)
-        doubtful = with_maps(world, [world.threat, world.threat / 2, np.where(world.threat > 0, 0.5, world.threat)])
+        doubtful = world.with_maps([world.threat, world.threat / 2, np.where(world.threat > 0, 0.5, world.threat)])
         valued = world.with_values(np.arange(world.threat.size).reshape(world.shape) % 5)
         first = tuple((1 + np.arange(world.threat.size) * 7 % 10).tolist())
         ordered = Settings(policy="watchful", risk_cap=0.3, priority=first)
@@ -209,7 +208,7 @@ def test_what_no_file_can_hold_and_no_mission_drives_is_said_at_once(tmp_path: P
     with pytest.raises(StateError, match="robots follow an external plan"):
         Mission(ROW, paths).save(tmp_path / "now.json")
     assert not list(tmp_path.iterdir())
-    unknown = with_sense(with_truth(ROW, np.where(ROW.threat > 0, 0, ROW.threat)), 1)
+    unknown = ROW.with_true_map(np.where(ROW.threat > 0, 0, ROW.threat)).with_sensor_range(1)
     with pytest.raises(WorldError, match="requires a known map"):
         Mission(unknown, make_plan(unknown, ROW.starts))  # type: ignore[arg-type]
 
@@ -664,8 +663,8 @@ def drawn_lessons(number: int, kind: str) -> tuple[World, list[list[int]]]:
     starts = [[0, 0]] * int(luck.integers(1, 4))
     if kind == "phases":
         begins = np.sort(luck.choice(np.arange(1, 20), 2, replace=False)).tolist()
-        return with_phases(World.create(maps[0]), list(zip(begins, maps[1:], strict=True))), starts
-    return with_hazard(World.create(walls), kind, np.nan_to_num(maps[0]), 1.0, learn=True), starts
+        return World.create(maps[0]).with_phases(list(zip(begins, maps[1:], strict=True))), starts
+    return World.create(walls).with_latent_hazard(kind, np.nan_to_num(maps[0]), 1.0, learn=True), starts
 
 
 def drive(world: World, starts: list[list[int]], settings: Settings, seed: int, file: Path | None) -> tuple[Any, Any]:
@@ -710,7 +709,7 @@ def test_a_mission_waits_for_a_phase_that_is_announced(more: dict[str, Any], tmp
     """`0 .5 0 0`, one robot that is worth 4 cells: it goes once all is safe, from step f on, and covers all."""
     home = 3 if more else 0
     for f in (1, 3, 4, 9):
-        world = with_phases(World.create([[0, 0.5, 0, 0]]), [(f, np.zeros((1, 4)))])
+        world = World.create([[0, 0.5, 0, 0]]).with_phases([(f, np.zeros((1, 4)))])
         settings = Settings(policy="per_cell", robot_value=4.0, **more)
         places, trace = drive(world, [[0, 0]], settings, f, tmp_path / "m.json" if f > 3 else None)
         assert (trace.outcome, trace.time) == (Outcome.COMPLETE, f + 3 + home)
@@ -721,7 +720,7 @@ def test_a_mission_waits_for_a_phase_that_is_announced(more: dict[str, Any], tmp
 def test_what_a_visit_and_a_stop_say_is_bayes_rule(tmp_path: Path) -> None:
     """q 0.4, h 0.5, a row of cells: survived twice in [0, 1], stopped in [0, 2]; kept in a file."""
     q, h = 0.4, 0.5
-    world = with_hazard(World.create(np.zeros((1, 4))), "persistent", [[0, q, q, q]], h, learn=True)
+    world = World.create(np.zeros((1, 4))).with_latent_hazard("persistent", [[0, q, q, q]], h, learn=True)
     mission = Mission(world, make_plan(world, [[0, 0], [0, 0]]))
     for place, other in (([0, 0], [0, 0]), ([0, 1], [0, 1]), ([0, 2], [0, 1])):
         mission.report(0, place, stopped=place == [0, 2])
@@ -738,7 +737,7 @@ def test_what_a_visit_and_a_stop_say_is_bayes_rule(tmp_path: Path) -> None:
 
 
 def test_what_is_borne_is_of_the_phase() -> None:
-    world = with_phases(World.create([[0.0, 0.1, 0.1]]), [(2, [[0.0, 0.2, 0.3]])], "first")
+    world = World.create([[0.0, 0.1, 0.1]]).with_phases([(2, [[0.0, 0.2, 0.3]])], "first")
     mission = Mission(world, make_plan(world, [[0, 0]], Settings(weibull_shape=2.0)))
     for place in ([0, 0], [0, 1], [0, 2]):
         mission.report(0, place)
@@ -749,8 +748,8 @@ def test_what_is_borne_is_of_the_phase() -> None:
 
 
 def test_what_it_cannot_act_on_is_said() -> None:
-    mined = with_hazard(World.create(np.zeros((2, 3))), "persistent", 0.2, learn=True)
-    swept = with_sense(mined, {"range": 1, "detect": 0.9, "false_alarm": 0.1})
+    mined = World.create(np.zeros((2, 3))).with_latent_hazard("persistent", 0.2, learn=True)
+    swept = mined.with_sensor_range({"range": 1, "detect": 0.9, "false_alarm": 0.1})
     with pytest.raises(InputError, match=r"reads no detector.*report its readings by `seen`"):
         Mission(swept, make_plan(swept, [[0, 0]]))
 
@@ -766,7 +765,7 @@ def of_one_level(number):
     for one in (believed, truth):  # some cell is dangerous on either map
         if not (one > 0).any():
             one[np.isnan(one) | (one == 0)] = np.where(np.isnan(one[np.isnan(one) | (one == 0)]), np.nan, 0.3)
-    return with_truth(World.create(believed), truth, sense), starts
+    return World.create(believed).with_true_map(truth, sense), starts
 
 
 def drive_seen(world, starts, settings, seed, steps, file=None):

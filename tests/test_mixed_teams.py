@@ -27,11 +27,9 @@ from planner.rollouts.single_run import PythonLoop
 from planner.settings import Settings
 from planner.simulator.codes import Doing, Outcome
 from planner.simulator.jit import interpreted
-from planner.world.changing_maps import with_hazard, with_maps, with_phases, with_spread
-from planner.world.features import with_movers
-from planner.world.levels import place_starts
 from planner.world.robot_types import checked_types
 from planner.world.scenario import load_input
+from planner.world.start_rule import place_starts
 from planner.world.world import World, world_of
 
 # Robots of several types: both ways, one type against none, the tree of all that can happen.
@@ -226,7 +224,7 @@ def test_teams_of_unknown_types_and_what_does_not_know_types(tmp_path: Path) -> 
     for more in ({"transit": "area"}, {"plan_for": "open_loop"}):
         with pytest.raises(InputError, match="types"):
             plan_team(world, starts, Settings(types=("drone", "rover"), **more))
-    hazard = with_hazard(replace(world, types=None), "persistent", 0.1)
+    hazard = replace(world, types=None).with_latent_hazard("persistent", 0.1)
     with pytest.raises(InputError, match="require one known map"):
         make_plan(replace(hazard, types=world.types), starts, Settings(types="drone"))
 
@@ -234,12 +232,12 @@ def test_teams_of_unknown_types_and_what_does_not_know_types(tmp_path: Path) -> 
 def test_threats_in_the_place_of_those_of_types_are_refused(tmp_path: Path) -> None:
     world = site(tmp_path)
     changes: tuple[Callable[[], World], ...] = (
-        lambda: with_hazard(world, "independent", 0.5, 0.5),
-        lambda: with_hazard(world, "persistent", 0.5, 0.5),
-        lambda: with_maps(world, [world.threat]),
-        lambda: with_spread(world, "beta", 20),
-        lambda: with_phases(world, [(0, np.full(world.shape, 0.5))]),
-        lambda: with_movers(world, [{"walk": 0.5, "h": 0.3}]),
+        lambda: world.with_latent_hazard("independent", 0.5, 0.5),
+        lambda: world.with_latent_hazard("persistent", 0.5, 0.5),
+        lambda: world.with_maps([world.threat]),
+        lambda: world.with_spread("beta", 20),
+        lambda: world.with_phases([(0, np.full(world.shape, 0.5))]),
+        lambda: world.with_moving_threats([{"walk": 0.5, "h": 0.3}]),
     )
     for change in changes:
         with pytest.raises(InputError, match="together with robots of the types drone, rover; expected one known map"):

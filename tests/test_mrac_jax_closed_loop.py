@@ -49,7 +49,7 @@ from planner.simulator.codes import EventKind, Outcome
 from planner.simulator.state import MOST_PASSES
 from planner.tally import RolloutResults
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 

@@ -56,8 +56,8 @@ from analysis.theory.verdicts import FORMULAS
 from planner.make_plan import make_plan
 from planner.plan.plan import Plan, RobotPlan
 from planner.settings import Choices, Settings
-from planner.world.levels import place_starts
 from planner.world.scenario import load_input
+from planner.world.start_rule import place_starts
 from planner.world.world import World, load_world_file
 
 # What a page is made of: markup that cannot be broken, tables, curves, maps by cell.

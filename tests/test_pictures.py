@@ -48,7 +48,7 @@ from planner.formatting import percent
 from planner.make_plan import make_plan
 from planner.plan.plan import Plan, RobotPlan
 from planner.simulator.codes import Outcome
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World, load_world_file
 
 # The pictures: written whole, the right way up, with the numbers of the evaluation in them.

@@ -44,9 +44,8 @@ from planner.plan.plan_file import count_shares
 from planner.plan_team import plan_team, read_plan
 from planner.settings import SETTINGS, Choices, Settings
 from planner.simulator.codes import Outcome
-from planner.world.changing_maps import with_phases
-from planner.world.levels import place_starts
 from planner.world.scenario import load_input
+from planner.world.start_rule import place_starts
 from planner.world.world import World, load_world_file
 
 # Plan files: what was saved is read back, other planners' paths are taken, and everything else is refused by name.
@@ -131,8 +130,8 @@ def test_the_planners_plans_survive_the_round_trip(tmp_path: Path) -> None:
 def test_a_plan_of_version_1_is_read_where_its_rules_are_todays(tmp_path: Path) -> None:
     """Also of phases, if its paths follow by the rules of today; else one line says that these changed."""
     plain = World.create([[0, 0.5, 0, 0]])
-    ends = with_phases(plain, [(4, np.zeros((1, 4)))])
-    calm = with_phases(plain, [(1, np.zeros((1, 4)))])
+    ends = plain.with_phases([(4, np.zeros((1, 4)))])
+    calm = plain.with_phases([(1, np.zeros((1, 4)))])
     for world, robot_value in ((plain, None), (plain, 4.0), (calm, 4.0)):
         made = make_plan(world, [[0, 0]], Settings(policy="per_cell", robot_value=robot_value))
         again = read_plan(written(tmp_path, made.to_json() | {"version": 1}), world)

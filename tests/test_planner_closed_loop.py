@@ -28,7 +28,7 @@ from planner.simulator.searches import neighbour_table
 from planner.simulator.state import first_room, largest_group, make_state, make_work
 from planner.tally import RolloutResults, Tally, Trace
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 

@@ -27,7 +27,7 @@ from planner.settings import Settings
 from planner.simulator.codes import NO_AREA, Doing, EventKind, Outcome
 from planner.tally import RolloutResults, Tally, Trace
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # --- The compiled simulator against fixtures, on large worlds and on the survey; Theorem 2 holds on it.

@@ -31,7 +31,7 @@ from planner.rollouts.single_run import Run, SingleRun, play
 from planner.settings import Settings
 from planner.simulator.codes import Doing, EventKind, Outcome
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # Plans for the open loop: exact, reproducible, drivable, never worse than the nominal plan, near the optimum.

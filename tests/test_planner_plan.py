@@ -39,7 +39,8 @@ from planner.simulator.searches import (
     safest_paths,
 )
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import NO_LEVEL, entry_costs, find_levels, place_starts, starts_of, to_networkx
+from planner.world.levels import NO_LEVEL, entry_costs, find_levels
+from planner.world.start_rule import place_starts, starts_of
 from planner.world.world import World, load_world_file
 
 # Algorithms 1-3 against an independent simulator's runs: every path, and seeded runs with hits, event counts equal.
@@ -202,7 +203,7 @@ def test_bisection_follows_the_specification() -> None:
 
 def test_levels_are_distinct_values_of_accessible_cells() -> None:
     world = World.create([[0.1, 0.3, np.nan, 0.2]])
-    levels = find_levels(world, world.accessible([[0, 0]]), 16)
+    levels = find_levels(world.threat, world.accessible([[0, 0]]), 16)
     np.testing.assert_allclose(levels.values, [0, np.float32(0.1), np.float32(0.3)], rtol=0)
     assert levels.of_cell.tolist() == [1, 2, NO_LEVEL, NO_LEVEL]
     assert not levels.quantised
@@ -211,7 +212,7 @@ def test_levels_are_distinct_values_of_accessible_cells() -> None:
 @given(st.lists(st.integers(0, 99).map(lambda percent: percent / 100), min_size=1, max_size=60), st.integers(2, 8))
 def test_quantised_levels_keep_order_mean_and_ties(values: list[float], most: int) -> None:
     world = World.create(np.array([values]))
-    levels = find_levels(world, world.free, most)
+    levels = find_levels(world.threat, world.free, most)
     threat = world.threat.ravel().astype(np.float64)
     assert len(levels.values) <= most
     assert (np.diff(levels.values) > 0).all()
@@ -226,7 +227,7 @@ def test_quantised_levels_keep_order_mean_and_ties(values: list[float], most: in
 
 def test_equal_counts() -> None:
     world = World.create(np.linspace(0.01, 0.9, 30)[None])
-    levels = find_levels(world, world.free, 6)
+    levels = find_levels(world.threat, world.free, 6)
     assert np.bincount(levels.of_cell).tolist() == [0, 6, 6, 6, 6, 6]
 
 
@@ -246,7 +247,7 @@ def test_a_team_takes_over_what_is_of_its_own_map_and_nothing_of_another_shape()
 
 
 def paths_over(world: World, starts: np.ndarray, risk: str = "paper") -> SafestPaths:
-    costs = entry_costs(find_levels(world, world.accessible(starts), 16), risk)  # type: ignore[arg-type]
+    costs = entry_costs(find_levels(world.threat, world.accessible(starts), 16), risk)  # type: ignore[arg-type]
     return safest_paths(world.shape, costs)
 
 
@@ -264,8 +265,8 @@ def safest_path_by_ties(graph: nx.DiGraph, source: tuple[int, int], target: tupl
 @given(worlds_with_starts(most_side=6))
 def test_costs_and_paths_are_networkx(given_world: tuple[World, np.ndarray]) -> None:
     world, starts = given_world
-    graph, width = to_networkx(world), world.shape[1]
-    levels = find_levels(world, world.accessible(starts), 16)
+    graph, width = world.to_networkx(), world.shape[1]
+    levels = find_levels(world.threat, world.accessible(starts), 16)
     # The graph's costs run over all free cells; the planner's over the accessible ones, whose p_min may be larger.
     costs = entry_costs(levels, "paper")
     for _, (row, col), data in graph.edges(data=True):
@@ -287,7 +288,7 @@ def test_costs_and_paths_are_networkx(given_world: tuple[World, np.ndarray]) -> 
 @given(worlds_with_starts())
 def test_nearest_is_least_cost_then_rank_then_index(given_world: tuple[World, np.ndarray]) -> None:
     world, starts = given_world
-    levels = find_levels(world, world.accessible(starts), 16)
+    levels = find_levels(world.threat, world.accessible(starts), 16)
     source = int(starts[0, 0] * world.shape[1] + starts[0, 1])
     for level in range(len(levels.values)):
         members = np.flatnonzero(levels.of_cell == level)
@@ -346,7 +347,7 @@ def test_a_search_kept_inside_does_not_answer_for_the_open_grid() -> None:
 
 
 def test_one_dangerous_cell_outweighs_every_safe_one() -> None:
-    levels = find_levels(World.create([[0.0, 0.1, 0.25]]), np.ones((1, 3), bool), 16)
+    levels = find_levels(World.create([[0.0, 0.1, 0.25]]).threat, np.ones((1, 3), bool), 16)
     assert entry_costs(levels, "paper").tolist() == [
         1,
         3,
@@ -361,7 +362,7 @@ def test_costs_that_could_overflow_are_refused() -> None:
     threat[0, 0], threat[0, 1] = 1e-20, 0.0
     world = World.create(threat)
     with pytest.raises(WorldError, match="too large for 64 bits"):
-        entry_costs(find_levels(world, world.free, 16), "paper")
+        entry_costs(find_levels(world.threat, world.free, 16), "paper")
 
 
 # The search for far targets against the plain search: the same target, cost and path, ties included.

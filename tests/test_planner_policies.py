@@ -46,8 +46,8 @@ from planner.simulator.jit import interpreted
 from planner.simulator.offers import NO_REFUSAL, Offer, is_refused
 from planner.tally import WORDS_OF_0_3
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
 from planner.world.scenario import load_input
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # The policies of SPEC section 11, against two independent simulators and plain twins.

@@ -16,7 +16,7 @@ from planner.rollouts.runners import KNOWN, Runner, singles_of
 from planner.settings import Settings
 from planner.simulator.state import Work
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 WAYS = {

@@ -33,7 +33,7 @@ from planner.tally import (
     tally_key,
 )
 from planner.world.generate import Kind, ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # Traces: the compiled simulator's are those of it as Python, event for event, and tell what the counts tell.

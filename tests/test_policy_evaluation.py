@@ -46,7 +46,7 @@ from planner.policies.rule import Rule
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.settings import Settings
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 
 # The suite: worlds that never change, a table whose figures can be worked out by hand, errors that name the world.
 

@@ -35,7 +35,7 @@ from planner.make_plan import make_plan
 from planner.settings import Settings
 from planner.simulator import jit
 from planner.simulator.jit import NO_CACHE
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # What is going on is said in words, on a terminal and on a pipe; compiling is said when something is compiled.

@@ -61,8 +61,6 @@ from planner.rollouts.open_loop_events import open_loop_trace
 from planner.settings import Settings
 from planner.simulator.codes import Doing, EventKind, Outcome
 from planner.tally import RolloutResults, Trace
-from planner.world.changing_maps import with_spread
-from planner.world.features import with_prior, with_sense
 from planner.world.world import World
 
 # Recording: what is in the file, that it can be read back, and that the same input gives the same bytes.
@@ -677,7 +675,7 @@ def test_another_planners_plan_and_the_open_loop(tmp_path: Path) -> None:
 def test_what_robots_learn_and_when(tmp_path: Path) -> None:
     """Truth, belief and fog at every step, by distances alone; areas against those that the engine's robots say."""
     known, seen_far, path = small_task()[0], 2, tmp_path / "dark.mcap"
-    world = with_prior(known, 0.05, sense=seen_far)
+    world = known.with_prior_map(0.05, sensor_range=seen_far)
     plan = make_plan(world, world.starts, Settings())
     record(world, plan, Request(ids=(3,), seed=SEED), path)
     (trace,), by_topic = trace_rollouts(compile_closed_loop(plan, world), SEED, [3]), decoded(path)
@@ -707,7 +705,7 @@ def test_what_robots_learn_and_when(tmp_path: Path) -> None:
 
 
 def test_areas_of_robots_that_learn_are_those_of_the_engine() -> None:
-    world = with_prior(small_task()[0], 0.05, sense=1)
+    world = small_task()[0].with_prior_map(0.05, sensor_range=1)
     plan = make_plan(world, world.starts, Settings())
     stage, steps = Stage(world, plan, "closed", SEED), 0
     for trace in trace_rollouts(compile_closed_loop(plan, world), SEED, range(4)):
@@ -727,7 +725,7 @@ def test_areas_of_robots_that_learn_are_those_of_the_engine() -> None:
 
 
 def test_a_drawn_truth_is_that_of_the_rollout() -> None:
-    world = with_sense(with_spread(small_task()[0], "lognormal", 0.6, by="common"), 2)
+    world = small_task()[0].with_spread("lognormal", 0.6, by="common").with_sensor_range(2)
     plan, truths = make_plan(world, world.starts, Settings()), []
     for trace in trace_rollouts(compile_closed_loop(plan, world), SEED, range(3)):
         found = Stage(world, plan, "closed", SEED).discovery(trace)

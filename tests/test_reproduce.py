@@ -36,7 +36,7 @@ from planner.make_plan import make_plan
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.threshold_classes import classes_by_threshold
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # `mrac-jax check --paper`: the same points however they are run, from the right maps, and the command.

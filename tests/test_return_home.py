@@ -36,10 +36,9 @@ from planner.rollouts.single_run import PythonLoop, SingleRun, play
 from planner.settings import Settings
 from planner.simulator.codes import Doing, EventKind, Outcome
 from planner.tally import Trace
-from planner.world.changing_maps import with_phases
 from planner.world.generate import PAPER_LEVELS, Stream, ThreatPattern, random_world
-from planner.world.levels import place_starts
 from planner.world.scenario import load_input
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # Robots that come home: plain code, closed forms, and the tree of all that can happen.
@@ -429,7 +428,7 @@ def tiny(number: int) -> tuple[World, list[tuple[int, np.ndarray]], list[Cell]]:
     if number % 4 == 3:
         later = np.where(np.isnan(p), np.nan, np.roll(np.nan_to_num(p), 1 + stream.below(p.size))).astype(np.float32)
         maps.append((2 + stream.below(4), later))
-        world = with_phases(world, maps[1:])
+        world = world.with_phases(maps[1:])
     free = np.argwhere(world.components == world.components[0, 0])
     starts = [tuple(free[stream.below(len(free))].tolist()) for _ in range(2 + stream.below(2))]
     return world, maps, starts

@@ -46,7 +46,7 @@ from planner.settings import Settings
 from planner.simulator.state import make_counts
 from planner.tally import RolloutResults, Tally
 from planner.world.generate import Kind, ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # What searches compare: exact against everything that can happen, sampled beside exact, the control, wear.

@@ -84,7 +84,7 @@ from planner.rollouts.engine import run_with_threshold_sums
 from planner.rollouts.single_run import PythonLoop
 from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World, load_world_file
 
 # `mrac-jax size`: the decision rule, the search, the bounds that rule teams out, and answers that are known.

@@ -58,7 +58,7 @@ from planner.rollouts.threshold_classes import CLASSES_A_NAT, COLUMNS, classes_b
 from planner.settings import Settings
 from planner.simulator.thresholds import UNIT
 from planner.tally import Tally
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World, load_world_file
 
 # Means, intervals and quantiles of histograms against SciPy and against their own promise.

@@ -35,7 +35,6 @@ from planner.errors import InputError
 from planner.formatting import Pace
 from planner.make_plan import make_plan
 from planner.settings import Settings
-from planner.world.features import with_truth
 from planner.world.grid import Georeference
 from planner.world.scenario import load_input
 from planner.world.world import World, load_world_file
@@ -189,7 +188,7 @@ def test_what_robots_do_not_know_costs_what_evaluate_says(
         read_sketch(json.dumps(again.to_json()).encode(), again)[0].world.randomness_sha256 == world.randomness_sha256
     )
     with pytest.raises(InputError, match="the prior map has several values"):
-        Sketch.of(with_truth(first.world, np.where(np.isnan(true), np.nan, 0.5), 1), 3, Settings())
+        Sketch.of(first.world.with_true_map(np.where(np.isnan(true), np.nan, 0.5), 1), 3, Settings())
     with pytest.raises(InputError, match="wrong about an obstacle"):
         read_sketch(json.dumps(board | {"sensor_range": 0}).encode(), first)
 

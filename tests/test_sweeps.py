@@ -57,7 +57,7 @@ from planner.rollouts.threshold_classes import classes_by_threshold
 from planner.settings import Settings
 from planner.tally import Tally
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # `mrac-jax sweep` and `results`: sweep files, common random numbers, intervals over maps, precision, export.

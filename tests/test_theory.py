@@ -71,7 +71,7 @@ from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
 from planner.simulator.codes import Outcome
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # The closed form and the paper's formulas against the fixtures, brute force, and each other.

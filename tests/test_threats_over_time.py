@@ -33,13 +33,11 @@ from planner.settings import Settings
 from planner.simulator.codes import Doing
 from planner.simulator.state import MOST_PASSES
 from planner.simulator.thresholds import threefry2x32
-from planner.world.changing_maps import with_phases
-from planner.world.features import PLAN_ON, as_before, with_movers
 from planner.world.generate import Stream, ThreatPattern, random_world
-from planner.world.levels import place_starts
-from planner.world.moving_threats import PLAN_ON as PHASES_PLAN_ON
-from planner.world.moving_threats import Foresight, MovingThreat
+from planner.world.moving_threats import FORESIGHTS, PLAN_ON, Foresight, MovingThreat
 from planner.world.scenario import load_input
+from planner.world.scenario_features import as_before
+from planner.world.start_rule import place_starts
 from planner.world.world import World, load_world_file
 
 # Threats that move: against exact values, and those against enumeration.
@@ -65,8 +63,8 @@ def test_teams_of_more_than_a_word_and_maps_without_tables(policy: str) -> None:
 
 
 def test_another_planners_robots_wait_and_are_met() -> None:
-    world = with_movers(
-        World.create(np.zeros((3, 4))), [MovingThreat(0.3, 0.5), MovingThreat(0.5, 0.0, 5, (5, 6, 10, 9))]
+    world = World.create(np.zeros((3, 4))).with_moving_threats(
+        [MovingThreat(0.3, 0.5), MovingThreat(0.5, 0.0, 5, (5, 6, 10, 9))]
     )
     paths = [[0, 0, 1, 1, 1, 2, 3], [8, 9, 10, 10, 11, 7]]
     plan = Plan(world.shape, world.sha256, None, tuple(RobotPlan(np.array(path)) for path in paths))
@@ -86,7 +84,7 @@ def test_movers_that_hit_nobody_change_no_event() -> None:
     world = moving_world(5)
     plain = replace(world, threat=world.met, uncertainty=None)
     assert world.movers is not None
-    tame = with_movers(plain, [replace(one, hit=0.0) for one in world.movers.members])
+    tame = plain.with_moving_threats([replace(one, hit=0.0) for one in world.movers.members])
     np.testing.assert_array_equal(tame.threat, plain.threat)
     plan = make_plan(plain, place_starts(plain, 3)[0])
     traces, counts = [], []
@@ -116,8 +114,8 @@ def test_a_visit_is_survived_by_who_is_alive_at_the_end_of_its_step() -> None:
 
 def test_draws_are_at_the_counters_that_the_spec_names() -> None:
     """Places and hits of two movers and three robots, from Threefry itself."""
-    world = with_movers(
-        World.create(np.zeros((2, 3))), [MovingThreat(0.4, 0.3), MovingThreat(0.6, 0.0, -1, (0, 1, 4, 3))]
+    world = World.create(np.zeros((2, 3))).with_moving_threats(
+        [MovingThreat(0.4, 0.3), MovingThreat(0.6, 0.0, -1, (0, 1, 4, 3))]
     )
     assert world.movers is not None
     seed, rollout, (moves, hits) = 7, 5, (threefry2x32((7, 0), 0x48415A44, purpose) for purpose in (3, 4))
@@ -162,7 +160,7 @@ def alone(world: World, start: tuple[int, int] | None = None) -> Plan:
     ],
 )
 def test_one_robot_is_known_exactly_as_enumeration_has_it(movers: list[MovingThreat]) -> None:
-    world = with_movers(SMALL, movers)
+    world = SMALL.with_moving_threats(movers)
     whole = [(0, 0), (0, 1), (1, 1), (1, 1), (1, 0), (1, 1), (1, 2), (2, 2), (2, 1)]
     for path in (whole[:6], whole[4:], [(1, 0), (1, 1), (1, 1), (1, 1), (1, 0), (0, 0)]):
         plan = Plan(world.shape, world.sha256, None, (RobotPlan(np.array([row * 3 + col for row, col in path])),))
@@ -195,7 +193,7 @@ def test_rollouts_of_one_robot_are_at_the_exact_values(seed: int) -> None:
 def test_a_mover_that_stays_is_a_threat_that_stands() -> None:
     """Met once, by a robot that does not wait: in both meanings of covered."""
     plain = World.create(np.zeros((1, 6)))
-    moving = with_movers(plain, [MovingThreat(0.25, 1.0, 3)])
+    moving = plain.with_moving_threats([MovingThreat(0.25, 1.0, 3)])
     standing = World.create([[0, 0, 0, 0.25, 0, 0]])
     path = (RobotPlan(np.arange(6)),)
     one, other = (open_loop_exact(Plan(world.shape, world.sha256, None, path), world) for world in (moving, standing))
@@ -206,7 +204,7 @@ def test_a_mover_that_stays_is_a_threat_that_stands() -> None:
 def test_movers_stay_where_they_are_in_the_long_run() -> None:
     """Who starts anywhere is at every step in a cell with the chance of `joined`, within 5 standard errors."""
     world = moving_world(9, most=5)
-    walker = with_movers(replace(world, threat=world.met, uncertainty=None), [MovingThreat(0.3, 0.2)], "joined")
+    walker = replace(world, threat=world.met, uncertainty=None).with_moving_threats([MovingThreat(0.3, 0.2)], "joined")
     assert walker.movers is not None
     chance, n = walker.movers.chances(walker.movers.members[0]).ravel(), 1500
     starts = np.bincount(first_places(walker.movers, 4, range(n))[:, 0], minlength=chance.size)
@@ -219,7 +217,7 @@ def test_movers_stay_where_they_are_in_the_long_run() -> None:
 
 
 def test_a_patrol_goes_round_and_is_missed_by_who_changes_places_with_it() -> None:
-    world = with_movers(World.create(np.zeros((2, 3))), [MovingThreat(1.0, 0.0, 4, (0, 1, 4, 3))])
+    world = World.create(np.zeros((2, 3))).with_moving_threats([MovingThreat(1.0, 0.0, 4, (0, 1, 4, 3))])
     assert threat_paths(world, 0, 0, 6)[:, 0].tolist() == [3, 0, 1, 4, 3, 0]
     for path, survives in (([4, 1, 4, 3], 1.0), ([3, 4], 0.0), ([5, 5, 5, 4], 0.0), ([0, 3, 4, 1], 1.0)):
         plan = Plan(world.shape, world.sha256, None, (RobotPlan(np.array(path)),))
@@ -271,12 +269,12 @@ def test_robots_plan_on_those_that_have_a_route_unless_something_else_is_said(tm
     assert note.startswith("`plan_on` is not given: robots plan on the moving threats that have a route (patrols)")
     assert "`plan_on: joined`" in note and "\n" not in note and not any(one.notes for one in said.values())
     lone = World.create([[0.0, np.nan, 0.0]])
-    sure = with_movers(lone, [MovingThreat(1.0, 0.0, 2)])  # `joined` refuses it
+    sure = lone.with_moving_threats([MovingThreat(1.0, 0.0, 2)])  # `joined` refuses it
     assert as_before(sure) is sure
     (note,) = scenario(tmp_path, "moving_threats: [{patrol: [[0, 0], [0, 1]], h: 0.5}]\n").notes
     assert world.movers is not None
     plain = replace(world, threat=world.met, uncertainty=None, notes=())
-    assert with_movers(plain, world.movers.members).sha256 == world.sha256
+    assert plain.with_moving_threats(world.movers.members).sha256 == world.sha256
     walkers = scenario(tmp_path, "moving_threats: [{walk: 0.5, h: 0.25}]\n")
     np.testing.assert_array_equal(walkers.threat, walkers.met)
 
@@ -346,7 +344,7 @@ def test_a_wrong_mover_is_one_line(tmp_path: Path, more: str, said: str) -> None
 def test_what_would_be_certain_or_does_not_fit_is_refused(tmp_path: Path) -> None:
     lone = World.create([[0.0, np.nan, 0.0]])
     with pytest.raises(InputError, match=r"makes p 1 at \[0, 2\].*make it an obstacle"):
-        with_movers(lone, [MovingThreat(1.0, 0.0, 2)], "joined")
+        lone.with_moving_threats([MovingThreat(1.0, 0.0, 2)], "joined")
     world = moving_world(1)
     world.save(tmp_path / "w.npz")
     arrays = dict(np.load(tmp_path / "w.npz"))
@@ -385,9 +383,7 @@ def changing(number: int, stream: Stream) -> tuple[World, np.ndarray]:
         drawn = levels[[stream.below(5) for _ in range(height * width)]].reshape(height, width)
         maps.append(np.where(free, np.where(stream.below(3) > 0, drawn, maps[-1] if maps else 0), np.nan))
         begins.append(begins[-1] + 1 + stream.below(6))
-    world = with_phases(
-        World.create(maps[0]), list(zip(begins[1:], maps[1:], strict=False)), PHASES_PLAN_ON[number % 3]
-    )
+    world = World.create(maps[0]).with_phases(list(zip(begins[1:], maps[1:], strict=False)), FORESIGHTS[number % 3])
     places = np.argwhere(free)
     return world, places[[stream.below(len(places)) for _ in range(1 + stream.below(5))]]
 
@@ -403,7 +399,7 @@ def test_a_team_waits_for_a_danger_that_is_announced_to_end(policy: str) -> None
     """
     world = World.create([[0, 0.5, 0, 0]])
     for f in (1, 2, 3, 4, 5, 9, 125, 128, 500):
-        timed = with_phases(world, [(f, np.zeros((1, 4)))])
+        timed = world.with_phases([(f, np.zeros((1, 4)))])
         plan = make_plan(timed, [[0, 0]], Settings(policy=policy, robot_value=4.0))
         done = f + 3 <= 128  # it is allocated the area in step f, and moves in the three steps after it
         assert (plan.outcome, plan.time) == (("complete", f + 3) if done else ("step_limit", 128)), f
@@ -423,7 +419,7 @@ def test_a_team_ends_once_nothing_that_is_announced_changes_the_map() -> None:
     def ends(phases: list[tuple[int, list[float]]], **more: Any) -> tuple[str, int]:
         maps = [(at, np.array([p])) for at, p in phases]
         plan = make_plan(
-            with_phases(World.create(base), maps), [[0, 0]], Settings(policy="per_cell", robot_value=4.0, **more)
+            World.create(base).with_phases(maps), [[0, 0]], Settings(policy="per_cell", robot_value=4.0, **more)
         )
         return plan.outcome, plan.time
 
@@ -434,7 +430,7 @@ def test_a_team_ends_once_nothing_that_is_announced_changes_the_map() -> None:
     )  # the last that counts: 4
     assert ends([(4, [0, 0.4, 0, N, 0]), (9, [0, 0, 0, N, 0])]) == ("complete", 11)
     assert ends([(3, [0, 0, 0, N, 0]), (9, [0, 0.5, 0, N, 0])]) == ("complete", 5)
-    timed = with_phases(World.create([[0, 0, 0.5]]), [(9, np.zeros((1, 3)))])
+    timed = World.create([[0, 0, 0.5]]).with_phases([(9, np.zeros((1, 3)))])
     spent = make_plan(timed, [[0, 0]], Settings(policy="per_cell", range=1))
     assert (spent.outcome, spent.time) == ("no_progress", 3)  # nobody can move any more
 
@@ -445,7 +441,7 @@ def test_robots_that_come_home_wait_for_it_too() -> None:
     for f, deadline, end in (
         (5, None, ("complete", 11)), (4, 10, ("complete", 10)), (4, 9, ("deadline", 9)), (20, 10, ("deadline", 10)),
     ):  # fmt: skip
-        timed = with_phases(world, [(f, np.zeros((1, 4)))])
+        timed = world.with_phases([(f, np.zeros((1, 4)))])
         settings = Settings(policy="per_cell", robot_value=4.0, return_to="home", deadline=deadline)
         plan = make_plan(timed, [[0, 0]], settings)
         assert (plan.outcome, plan.time) == end
@@ -467,10 +463,10 @@ TINY = [
 
 def tiny(number: int, plan_on: Foresight) -> tuple[World, list[tuple[int, np.ndarray]]]:
     maps = [(begin, np.array(p, dtype=np.float32)) for begin, p in TINY[number]]
-    return with_phases(World.create(maps[0][1]), maps[1:], plan_on), maps
+    return World.create(maps[0][1]).with_phases(maps[1:], plan_on), maps
 
 
-@pytest.mark.parametrize("plan_on", PHASES_PLAN_ON)
+@pytest.mark.parametrize("plan_on", FORESIGHTS)
 @pytest.mark.parametrize("number", range(len(TINY)))
 @pytest.mark.parametrize("wide", [False, True])
 def test_teams_come_to_what_enumeration_has(number: int, plan_on: Foresight, wide: bool) -> None:
@@ -523,26 +519,26 @@ def test_who_wears_bears_what_each_phase_brings() -> None:
 def test_phases_that_change_nothing_change_no_run() -> None:
     for seed in range(4):
         world = random_world(9, 9, ThreatPattern(seed=seed))
-        assert with_phases(world, [(0, world)]).uncertainty is None
+        assert world.with_phases([(0, world)]).uncertainty is None
         starts, _ = place_starts(world, 3)
         settings = Settings(policy=("mrac", "per_cell")[seed % 2])
         other = np.where(world.free, 0.3, np.nan)
         for phases in ([(5, world), (9, world)], [(MAX_STEP, other)]):
-            timed = with_phases(world, phases, "first")
+            timed = world.with_phases(phases, "first")
             plans = [make_plan(one, starts, settings) for one in (world, timed)]
             assert plans[0].to_json() == plans[1].to_json()
             loops = [compile_closed_loop(plan, one) for plan, one in zip(plans, (world, timed), strict=True)]
             counts = [run_range(loop, 1, 0, 2000)[0].counts() for loop in loops]
             assert all(np.array_equal(counts[0][name], counts[1][name]) for name in counts[0])
             assert loops[0].identity != loops[1].identity
-        alike = with_phases(world, [(5, world)])
+        alike = world.with_phases([(5, world)])
         runs = [trace_rollouts(compile_closed_loop(plans[0], one), 1, range(8)) for one in (world, alike)]
         assert runs[0] == runs[1]
 
 
 def test_no_count_depends_on_threads_or_chunks() -> None:
     world = random_world(9, 9, ThreatPattern(seed=3))
-    timed = with_phases(world, [(20, np.roll(np.nan_to_num(world.threat), 3, axis=1) + 0 * world.threat)])
+    timed = world.with_phases([(20, np.roll(np.nan_to_num(world.threat), 3, axis=1) + 0 * world.threat)])
     loop = compile_closed_loop(make_plan(timed, place_starts(timed, 4)[0]), timed)
     whole = run_range(loop, 9, 0, 6000, threads=2)[0]
     assert run_range(loop, 9, 0, 1700, threads=1)[0] + run_range(loop, 9, 1700, 4300, threads=1)[0] == whole
@@ -614,13 +610,13 @@ def test_maps_and_loops_that_do_not_fit_are_refused() -> None:
     world, _ = tiny(1, "now")
     plain = replace(world, threat=world.met, uncertainty=None)
     with pytest.raises(InputError, match=r"phases\[0\] has none at \[1, 0\]; expected the obstacles of the map"):
-        with_phases(plain, [(3, np.zeros((3, 3)))])
+        plain.with_phases([(3, np.zeros((3, 3)))])
     with pytest.raises(InputError, match=r"phases\[0\] is dict; expected pairs \(step, threats\)"):
-        with_phases(World.create(np.zeros((2, 2))), [{"from": 4, "threats": []}])  # type: ignore[list-item]
+        World.create(np.zeros((2, 2))).with_phases([{"from": 4, "threats": []}])  # type: ignore[list-item]
     with pytest.raises(InputError, match=r"phases\[0\] has shape \[2, 3\]"):
-        with_phases(plain, [(3, np.zeros((2, 3)))])
+        plain.with_phases([(3, np.zeros((2, 3)))])
     with pytest.raises(InputError, match="together with another uncertainty"):
-        with_phases(world, [(3, plain)])
+        world.with_phases([(3, plain)])
     with pytest.raises(InputError, match=r"threats known in advance.*use `plan_on: first` or `worst`"):
         make_plan(world, [[0, 0]], Settings(radio=4.0))
     with pytest.raises(InputError, match=r"`transit=\"area\"`, legs that stay.*use `plan_on: first` or `worst`"):

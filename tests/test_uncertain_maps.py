@@ -25,11 +25,9 @@ from planner.rollouts.loop import typed
 from planner.rollouts.open_loop import compile_plan
 from planner.settings import Settings
 from planner.simulator.thresholds import threefry2x32
-from planner.world.changing_maps import with_hazard, with_maps, with_phases, with_spread
-from planner.world.features import with_movers, with_prior, with_truth
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
 from planner.world.scenario import load_input
+from planner.world.start_rule import place_starts
 from planner.world.world import World, load_world_file
 
 # Hazards that are there or not, and maps one of which is true: both ways, and against enumeration.
@@ -38,12 +36,12 @@ BASE = random_world(8, 8, ThreatPattern("contiguous", 4, (0.04, 0.12, 0.2), 3), 
 DANGER = np.where(BASE.threat > 0, 1.0, 0.0)
 OTHERS = [BASE.threat, np.minimum(3 * BASE.threat, np.float32(0.9)), 0 * BASE.threat]
 DOUBTS: dict[str, Callable[[], World]] = {
-    "persistent": lambda: with_hazard(BASE, "persistent", 0.3 * DANGER, 0.6),
-    "consumed": lambda: with_hazard(BASE, "consumed", 0.5 * DANGER, 0.8),
-    "maps": lambda: with_maps(BASE, OTHERS),
-    "maps, a low quantile": lambda: with_maps(BASE, OTHERS, plan_on=0.2),
-    "common": lambda: with_spread(BASE, "lognormal", 1.0),
-    "level": lambda: with_spread(BASE, "beta", 5.0, "level", plan_on=0.9),
+    "persistent": lambda: BASE.with_latent_hazard("persistent", 0.3 * DANGER, 0.6),
+    "consumed": lambda: BASE.with_latent_hazard("consumed", 0.5 * DANGER, 0.8),
+    "maps": lambda: BASE.with_maps(OTHERS),
+    "maps, a low quantile": lambda: BASE.with_maps(OTHERS, plan_on=0.2),
+    "common": lambda: BASE.with_spread("lognormal", 1.0),
+    "level": lambda: BASE.with_spread("beta", 5.0, "level", plan_on=0.9),
 }
 COLUMNS = ("visited", "survived", "time", "alive", "outcome")
 
@@ -90,9 +88,9 @@ Q, H = np.where(SMALL.threat > 0, SMALL.threat + 0.3, 0.0), np.full((2, 5), 0.75
 def test_means_are_those_of_everything_that_can_happen(kind: str) -> None:
     if kind == "maps":
         maps = [SMALL.threat, np.where(SMALL.threat > 0.25, np.float32(0.7), SMALL.threat), 0 * SMALL.threat]
-        world, judge = with_maps(SMALL, maps), one_of([one.ravel() for one in maps])
+        world, judge = SMALL.with_maps(maps), one_of([one.ravel() for one in maps])
     else:
-        world, judge = with_hazard(SMALL, kind, Q, H), persistent(Q.ravel(), H.ravel(), kind == "consumed")
+        world, judge = SMALL.with_latent_hazard(kind, Q, H), persistent(Q.ravel(), H.ravel(), kind == "consumed")
     plan = make_plan(world, world.starts, Settings())
     exact = expected(closed_loop(plan, world), judge)
     rollouts = 40_000
@@ -109,7 +107,7 @@ def test_hazards_and_maps_are_drawn_as_specified() -> None:
     for purpose in (0, 1):
         word = threefry2x32((7, 0), 0x48415A44, purpose)
         assert own_key(7, purpose) == (int(word[0]), int(word[1]))
-    world = with_hazard(TINY, "persistent", np.full((2, 3), 0.25), 1.0)
+    world = TINY.with_latent_hazard("persistent", np.full((2, 3), 0.25), 1.0)
     there = threefry2x32(own_key(3, 0), np.arange(4000), 4)[0] >> 8 < 0.25 * 2**24
     assert [Luck(world, 3, rollout).hits(0, 1, 4) for rollout in range(4000)] == there.tolist()
     assert abs(there.mean() - 0.25) < 5 * np.sqrt(0.25 * 0.75 / 4000)
@@ -117,7 +115,7 @@ def test_hazards_and_maps_are_drawn_as_specified() -> None:
 
 @pytest.mark.parametrize(("kind", "amount"), [("lognormal", 0.3), ("beta", 6.0)])
 def test_a_spread_has_the_mean_and_the_quantiles_that_it_says(kind: str, amount: float) -> None:
-    world = with_spread(TINY, kind, amount)
+    world = TINY.with_spread(kind, amount)
     chances = np.stack([world.uncertainty.threat_at(row) for row in range(world.uncertainty.count)])[:, 0, 1].astype(
         float
     )
@@ -128,13 +126,13 @@ def test_a_spread_has_the_mean_and_the_quantiles_that_it_says(kind: str, amount:
     edges = law.ppf(np.arange(200) / 256)
     assert ((edges[:-1] <= chances[:199] + 1e-7) & (chances[:199] <= edges[1:] + 1e-7)).all()
     assert (world.threat == TINY.threat).all()
-    high = with_spread(TINY, kind, amount, plan_on=0.9).threat[0, 1]
+    high = TINY.with_spread(kind, amount, plan_on=0.9).threat[0, 1]
     assert abs(high - law.ppf(0.9)) < 0.02
 
 
 def test_levels_are_drawn_apart_and_a_common_spread_is_one_for_all() -> None:
     for by, same in (("common", True), ("level", False)):
-        draws = with_spread(TINY, "beta", 4.0, by).draws
+        draws = TINY.with_spread("beta", 4.0, by).draws
         assert draws is not None
         assert (draws.counter[1] == draws.counter[4]) == same
     assert draws.counter.reshape(2, 3)[:, 1].tolist() == [3, 2]
@@ -163,19 +161,22 @@ def scenario(folder: Path, more: str, threats: str = "[{raster: p.csv}]") -> Wor
 
 def test_a_scenario_names_hazards_and_maps(tmp_path: Path) -> None:
     mines = scenario(tmp_path, "latent_hazard: {kind: consumed, h: 0.5}")
-    assert mines.randomness_sha256 == with_hazard(TINY, "consumed", TINY.threat, 0.5).randomness_sha256
+    assert mines.randomness_sha256 == TINY.with_latent_hazard("consumed", TINY.threat, 0.5).randomness_sha256
     weak = scenario(tmp_path, "latent_hazard: {kind: persistent, q: 0.25, h: threats}")
-    assert weak.randomness_sha256 == with_hazard(TINY, "persistent", 0.25, TINY.threat).randomness_sha256
+    assert weak.randomness_sha256 == TINY.with_latent_hazard("persistent", 0.25, TINY.threat).randomness_sha256
     raster = scenario(tmp_path, "latent_hazard: {kind: persistent, q: p.csv, h: other.csv}", "[]")
-    assert raster.randomness_sha256 == with_hazard(TINY, "persistent", TINY.threat, 2 * TINY.threat).randomness_sha256
+    assert (
+        raster.randomness_sha256
+        == TINY.with_latent_hazard("persistent", TINY.threat, 2 * TINY.threat).randomness_sha256
+    )
     assert scenario(tmp_path, "latent_hazard: {kind: independent}").randomness_sha256 == TINY.sha256
     maps = scenario(tmp_path, "map_uncertainty: {maps: [p.csv, other.csv], plan_on: 0.9}", "[]")
-    assert maps.randomness_sha256 == with_maps(TINY, [TINY.threat, 2 * TINY.threat], 0.9).randomness_sha256
+    assert maps.randomness_sha256 == TINY.with_maps([TINY.threat, 2 * TINY.threat], 0.9).randomness_sha256
     np.testing.assert_array_equal(maps.threat, 2 * TINY.threat)
     doses = scenario(tmp_path, "map_uncertainty: {maps: [p.csv, other.csv], rule: {kind: linear, scale: 0.5}}", "[]")
     np.testing.assert_allclose(doses.threat, 0.75 * TINY.threat, rtol=1e-6)
     spread = scenario(tmp_path, "map_uncertainty: {spread: {kind: beta, sample_size: 9, by: level}, plan_on: mean}")
-    assert spread.randomness_sha256 == with_spread(TINY, "beta", 9.0, "level").randomness_sha256
+    assert spread.randomness_sha256 == TINY.with_spread("beta", 9.0, "level").randomness_sha256
 
 
 BAD = {
@@ -220,28 +221,28 @@ def test_what_a_scenario_says_wrongly_is_one_line(tmp_path: Path, more: str) -> 
 def test_arrays_that_are_no_hazard_and_no_maps() -> None:
     for q in (1.5, -0.1, np.nan, np.zeros((3, 3)), "much"):
         with pytest.raises(InputError, match=r"hazard q (is|has|holds)"):
-            with_hazard(TINY, "persistent", q)
+            TINY.with_latent_hazard("persistent", q)
     with pytest.raises(InputError, match="hazard kind is 'odd'"):
-        with_hazard(TINY, "odd", 0.5)
+        TINY.with_latent_hazard("odd", 0.5)
     with pytest.raises(InputError, match=r"hazard q \* h is 1 at \[0, 0\]"):
-        with_hazard(TINY, "consumed", 1.0)
+        TINY.with_latent_hazard("consumed", 1.0)
     with pytest.raises(InputError, match="maps is empty"):
-        with_maps(TINY, [])
+        TINY.with_maps([])
     with pytest.raises(InputError, match=r"maps\[1\]: has other obstacles"):
-        with_maps(TINY, [TINY.threat, np.where(np.eye(2, 3) > 0, np.nan, 0.1)])
+        TINY.with_maps([TINY.threat, np.where(np.eye(2, 3) > 0, np.nan, 0.1)])
     with pytest.raises(InputError, match="amount=nan; expected a standard deviation"):
-        with_spread(TINY, "lognormal", float("nan"))
+        TINY.with_spread("lognormal", float("nan"))
 
 
 KINDS: dict[str, Callable[[World], World]] = {
-    "persistent": lambda world: with_hazard(world, "persistent", world.threat, 0.5),
-    "independent": lambda world: with_hazard(world, "independent", world.threat, 0.5),
-    "maps": lambda world: with_maps(world, [world.threat, world.threat / 2]),
-    "spread": lambda world: with_spread(world, "beta", 20),
-    "movers": lambda world: with_movers(world, [{"walk": 0.5, "h": 0.3}]),
-    "phases": lambda world: with_phases(world, [(10, world.threat / 2)]),
-    "truth": lambda world: with_truth(world, world.threat / 2),
-    "prior": lambda world: with_prior(world, 0.04, "known", 1),
+    "persistent": lambda world: world.with_latent_hazard("persistent", world.threat, 0.5),
+    "independent": lambda world: world.with_latent_hazard("independent", world.threat, 0.5),
+    "maps": lambda world: world.with_maps([world.threat, world.threat / 2]),
+    "spread": lambda world: world.with_spread("beta", 20),
+    "movers": lambda world: world.with_moving_threats([{"walk": 0.5, "h": 0.3}]),
+    "phases": lambda world: world.with_phases([(10, world.threat / 2)]),
+    "truth": lambda world: world.with_true_map(world.threat / 2),
+    "prior": lambda world: world.with_prior_map(0.04, "known", 1),
 }
 TOGETHER = {
     *(("independent", other) for other in KINDS),
@@ -262,7 +263,7 @@ def test_one_thing_that_is_not_known_beside_another_is_refused_in_either_order(f
             add(world)
     if first == "prior":
         with pytest.raises(InputError, match="leave one of the two out; a prior is given after the maps"):
-            with_spread(world, "beta", 20)
+            world.with_spread("beta", 20)
 
 
 # The open loop where hazards are there or not, or the map is one of several: engines, traces, exact values.
@@ -313,7 +314,7 @@ def test_exact_values_are_those_of_everything_that_can_happen(kind: str, paths: 
         0 * TINY_OPEN_LOOP.threat,
     ]
     q, h = np.full(TINY_OPEN_LOOP.shape, 0.6), np.full(TINY_OPEN_LOOP.shape, 0.5)
-    world = with_maps(TINY_OPEN_LOOP, maps) if kind == "maps" else with_hazard(TINY_OPEN_LOOP, kind, q, h)
+    world = TINY_OPEN_LOOP.with_maps(maps) if kind == "maps" else TINY_OPEN_LOOP.with_latent_hazard(kind, q, h)
     draw = (
         one_of([one.ravel() for one in maps])
         if kind == "maps"
@@ -338,7 +339,7 @@ def test_exact_values_are_those_of_everything_that_can_happen(kind: str, paths: 
 
 
 def test_one_robot_is_exact_by_level_and_teams_are_known_robot_by_robot() -> None:
-    world = with_spread(TINY_OPEN_LOOP, "lognormal", 0.5, "level")
+    world = TINY_OPEN_LOOP.with_spread("lognormal", 0.5, "level")
     chances, column = world.uncertainty.chances.astype(float), world.uncertainty.column.ravel()
     low, high = ((1 - chances[:, column[cell]]) ** 2 for cell in (1, 3))  # PATHS[0] enters cell 1 once, cell 3 twice
     survival = np.sqrt(low).mean() * high.mean()

@@ -47,8 +47,8 @@ from planner.settings import Settings
 from planner.simulator.state import MOST_PASSES
 from planner.tally import Tally
 from planner.world.generate import Kind, ThreatPattern, random_world
-from planner.world.levels import place_starts
 from planner.world.scenario import load_input, route_over
+from planner.world.start_rule import place_starts
 from planner.world.world import World, load_world_file
 
 # What cells are worth and show: closed forms and counts against enumeration and the simulator as Python.

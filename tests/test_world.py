@@ -25,7 +25,6 @@ from planner.files import atomic_write
 from planner.simulator.thresholds import threefry2x32
 from planner.world.generate import OBSTACLES, PAPER_LEVELS, Stream, ThreatPattern, random_threats, random_world
 from planner.world.keys import read_yaml
-from planner.world.levels import to_networkx
 from planner.world.map_files import load_map
 from planner.world.scenario import load_input
 from planner.world.world import World, load_world_file
@@ -162,7 +161,7 @@ def test_accessible_cells_are_those_some_robot_reaches() -> None:
 
 
 def test_graph_has_threats_positions_and_costs() -> None:
-    graph = to_networkx(World.create([[0.0, 0.1], [np.nan, 0.2]], cell_size=2.0))
+    graph = World.create([[0.0, 0.1], [np.nan, 0.2]], cell_size=2.0).to_networkx()
     assert set(graph.nodes) == {(0, 0), (0, 1), (1, 1)}
     assert graph.nodes[0, 1]["threat"] == pytest.approx(0.1)
     assert graph.nodes[0, 0]["pos"] == (1.0, 3.0)

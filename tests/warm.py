@@ -9,7 +9,7 @@ from planner.make_plan import make_plan
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.settings import Settings
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 
 
 def run_missions(rule: str, *settings: Any) -> None:

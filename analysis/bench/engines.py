@@ -31,8 +31,8 @@ from planner.rollouts.open_loop import compile_plan
 from planner.rollouts.single_run import PythonLoop
 from planner.tally import Tally
 from planner.world.generate import Kind, ThreatPattern, random_world
-from planner.world.levels import place_starts
 from planner.world.scenario import load_input
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # Timing: repetitions of all engines alternate, so that a busy machine slows all of them equally.

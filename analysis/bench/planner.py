@@ -16,8 +16,8 @@ from rich.console import Console
 from analysis.utils.tables import make_table
 from planner.make_plan import make_plan
 from planner.world.generate import Kind, ThreatPattern, random_world
-from planner.world.levels import place_starts
 from planner.world.scenario import load_input
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 SIZES = ((20, 20, 8, 9), (64, 64, 8, 5), (256, 256, 16, 3))

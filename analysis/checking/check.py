@@ -54,7 +54,7 @@ from planner.rollouts.tables import AllPairs
 from planner.settings import Choices, Settings
 from planner.tally import Tally
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # Checks of all formulas on one map; the closed loop is simulated if it is not known exactly.

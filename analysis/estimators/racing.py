@@ -39,7 +39,6 @@ from planner.rollouts.threshold_classes import sums_by_threshold
 from planner.settings import BEST, MOST_PRIORITY, Settings
 from planner.simulator.codes import Outcome
 from planner.tally import RolloutResults
-from planner.world.features import seeing
 from planner.world.uncertain_maps import LARGEST, Hazard, Uncertain
 from planner.world.world import World
 
@@ -402,7 +401,7 @@ def with_eyes(world: World, plan: Plan, far: float, choices: RolloutChoices) -> 
     assert world.knowledge is not None
     if far == world.knowledge.sense.range:
         return Trial(world, plan, choices)
-    other = seeing(world, far)
+    other = world.seeing(far)
     return Trial(other, allocated_plan(other, plan.starts, plan.require(world)), choices)
 
 

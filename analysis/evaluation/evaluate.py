@@ -68,7 +68,7 @@ from planner.rollouts.engine import choose_engine
 from planner.rollouts.tables import AllPairs
 from planner.simulator.codes import Outcome
 from planner.tally import Tally
-from planner.world.features import true_world
+from planner.world.scenario_features import true_world
 from planner.world.uncertain_maps import Uncertain
 from planner.world.world import World
 

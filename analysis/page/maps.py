@@ -259,7 +259,7 @@ def threat_layer(world: World, plan: Plan) -> CellLayer:
     """The threat map as a layer, in the colours of the pictures."""
     accessible = world.accessible(plan.starts)
     threat = np.where(accessible, np.nan_to_num(world.threat.astype(np.float64)), 0.0)
-    levels = find_levels(world, accessible, plan.settings.levels if plan.settings else MOST_LEVELS)
+    levels = find_levels(world.threat, accessible, plan.settings.levels if plan.settings else MOST_LEVELS)
     scale = threat_scale(levels.values, float(threat.max()))
     words = p_text(plan, world)
     about = f"{words[0].upper()}{words[1:]}."

@@ -38,10 +38,9 @@ from planner.plan_team import plan_team, read_plan
 from planner.policies.rule import Rule
 from planner.rollouts.names import of_jax
 from planner.settings import Settings
-from planner.world.changing_maps import with_hazard
 from planner.world.generate import Kind, ThreatPattern, random_world
-from planner.world.levels import place_starts
 from planner.world.scenario import load_input
+from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 # Results: coverage and score of each entry on each world, and the ranks.
@@ -276,7 +275,7 @@ class Place:
     def make(self, seed: int) -> World:
         """The world, without starts."""
         world = random_world(self.side, self.side, ThreatPattern(self.kind, seed=seed), threats=self.percent / 100)
-        return with_hazard(world, self.hazard, np.array(world.threat) / HIT, HIT) if self.hazard else world
+        return world.with_latent_hazard(self.hazard, np.array(world.threat) / HIT, HIT) if self.hazard else world
 
 
 PLACES = (

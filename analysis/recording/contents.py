@@ -24,7 +24,7 @@ from planner.mcap import LogMessage
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.simulator.codes import Outcome
-from planner.tally import Tally, Trace, counts_by_word, counts_of_words
+from planner.tally import COUNTS_OF_0_3, Tally, Trace, counts_by_word, counts_of_words
 from planner.world.world import MAX_CELLS, MAX_ROBOTS, World, world_of
 
 FORMAT, VERSION = "mrac-recording", 2
@@ -121,7 +121,7 @@ def tally_bytes(tally: Tally, deadline: bool = False) -> tuple[bytes, bytes]:
 def read_tally(text: bytes, cells: bytes, source: str) -> Tally:
     """The tally of `tally_bytes`. Raises InputError."""
     try:
-        said = json.loads(text)
+        said = {COUNTS_OF_0_3.get(name, name): value for name, value in json.loads(text).items()}
         arrays = unpack_npz(cells, 64 * MAX_CELLS, source)
         counts = {
             name: arrays[name] if axis == "cell" else said[name] for name, axis in AXES.items() if name in said | arrays

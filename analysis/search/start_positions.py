@@ -37,8 +37,8 @@ from planner.plan.plan import Plan
 from planner.rollouts.engine import choose_engine
 from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
-from planner.world.levels import check_robots, place_starts
 from planner.world.points import read_table
+from planner.world.start_rule import check_robots, place_starts
 from planner.world.world import FOUR_NEIGHBOURS, MAX_CELLS, World
 
 # Results: the places with their bounds and estimates, the best place, and the gain over the present starts.

@@ -28,7 +28,7 @@ from planner.formatting import counted
 from planner.plan_team import plan_team
 from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 from planner.world.world import MAX_ROBOTS, World
 
 # Rules of `mrac-jax size`: verdicts, the order of the search, and upper bounds. Pure functions of numbers.

@@ -437,7 +437,7 @@ def _things_of(world: World, starts: NDArray[np.int64]) -> list[Threat]:
 
 def _areas_of(world: World, starts: NDArray[np.int64], levels: int) -> list[Threat]:
     """The connected areas of equal threat that robots at `starts` `[K, 2]` can reach: by level, then by lowest cell."""
-    found = find_levels(world, world.accessible(starts), levels)
+    found = find_levels(world.threat, world.accessible(starts), levels)
     areas = [(level, cells) for level, cells in find_areas(world.shape, found) if level > 0]
     return [Threat(f"area {number}", cells, float(found.values[level])) for number, (level, cells) in enumerate(areas)]
 

@@ -51,11 +51,10 @@ from planner.policies import RULES
 from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
 from planner.tally import Tally
-from planner.world.features import with_truth
 from planner.world.keys import PLACE, PROBABILITY, Key
-from planner.world.levels import place_starts
 from planner.world.map_knowledge import RANGE, Sense
 from planner.world.scenario import team_keys
+from planner.world.start_rule import place_starts
 from planner.world.world import MAX_ROBOTS, World
 
 # The page: controls around an empty map, which its script fills with the server's data.
@@ -224,7 +223,7 @@ def read_sketch(body: bytes, first: Sketch) -> tuple[Sketch, Mapping[str, Key]]:
     if unknown.any():
         prior = np.where(unknown, np.float32(believed), world.threat)
         with keys["sensor_range"].naming():
-            world = with_truth(replace(world, threat=prior), world, sense)
+            world = replace(world, threat=prior).with_true_map(world, sense)
     return Sketch(world, robots if starts is None else len(starts), settings, deadline, believed, sense), keys
 
 

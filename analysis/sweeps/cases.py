@@ -35,11 +35,11 @@ from planner.plan_team import plan_team, read_plan_on
 from planner.policies import DEFAULT
 from planner.settings import BEARING, Choices, Settings
 from planner.tally import Tally
-from planner.world.features import BEFORE, NOW, RELEASES, as_before, rules_of
 from planner.world.generate import PAPER_LEVELS, Kind, ThreatPattern, random_world
 from planner.world.keys import Key
-from planner.world.levels import check_same_team, place_starts
 from planner.world.scenario import read_on, read_scenario
+from planner.world.scenario_features import BEFORE, NOW, RELEASES, as_before, rules_of
+from planner.world.start_rule import check_same_team, place_starts
 from planner.world.world import World, check_starts
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ class Written:
 
 
 RULES = "rules"
-"""Label of runs whose rules changed between releases (`planner.world.features`), and of their earlier versions."""
+"""Label of runs whose rules changed between releases (`scenario_features`), and of their earlier versions."""
 REMEMBERED = 4
 """Number of worlds that `Places` caches: the next case is mostly another team in the same world."""
 Label = str | int | float | bool | None
@@ -254,7 +254,7 @@ def run_key(team: Team, model: RolloutChoices, rules: int | None = None) -> str:
     """The identity of a run: sha256, 64 hex digits, of all inputs of its rollouts. Nothing is planned.
 
     `rules`: version of the simulation rules; None: the latest that concerns such a team
-    (`planner.world.features.rules_of`), so that runs unaffected by a change of the rules keep their keys.
+    (`planner.world.scenario_features.rules_of`), so that runs unaffected by a change of the rules keep their keys.
     """
     # Keys and values of 0.3, so that its stores are resumed.
     drawn = {"loop": model.loop, "first_only": model.first_only, "seed": model.seed, "mode": "tolerance"}

@@ -38,7 +38,7 @@ from analysis.utils.pool import Pool, wanted_processes
 from planner.arguments import BLOCK, MOST_ROLLOUTS
 from planner.errors import UsageError
 from planner.formatting import counted
-from planner.world.features import BEFORE, NOW, RELEASES
+from planner.world.scenario_features import BEFORE, NOW, RELEASES
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -299,7 +299,7 @@ def _split(wanted: list[Wanted], share: int) -> list[tuple[Wanted, ...]]:
     return [tuple(tasks[number]) for number in sorted(tasks)]
 
 
-# Runs whose simulation rules a later release changed (`planner.world.features`) are never mixed with others.
+# Runs whose simulation rules a later release changed (`planner.world.scenario_features`) are never mixed with others.
 #
 # Runs that follow rules changed in 0.4 have the label RULES. A sweep adds this label to the earlier runs that it does
 # not use; `results` infers it for other runs of the same setting, which differ only in the map.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from analysis.statistics.variance_reduction import control_sums
 from planner.files import Json
-from planner.tally import Tally
+from planner.tally import COUNTS_OF_0_3, Tally
 
 FIGURES = ("visited", "survived", "time", "alive")
 MOST_BYTES = 2**34
@@ -48,7 +48,7 @@ def unpack(blob: bytes, ids: tuple[tuple[int, int], ...]) -> Tally:
         head, at, counts = json.loads(line), 0, {}
         for name, kind, length in head["arrays"]:
             values = np.frombuffer(rest, dtype=kind, count=length, offset=at)
-            counts[name] = values.astype(np.int64)
+            counts[COUNTS_OF_0_3.get(name, name)] = values.astype(np.int64)
             at += values.nbytes
         if at != len(rest):
             raise ValueError(f"{len(rest) - at} bytes too many")

@@ -152,7 +152,7 @@ def eq5(plan: Plan, world: World) -> tuple[Equation5, ...]:
         return (undefined,) * len(plan.robots)
     if plan.settings.range is not None or plan.comes_home:
         return (undefined,) * len(plan.robots)
-    levels = find_levels(world, world.accessible(plan.starts), plan.settings.levels)
+    levels = find_levels(world.threat, world.accessible(plan.starts), plan.settings.levels)
     threat = world.threat.ravel().astype(np.float64)
     return tuple(
         _eq5_of_robot(robot, plan, levels.values, threat) if robot.legs and threat[robot.path[0]] == 0 else undefined

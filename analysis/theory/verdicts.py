@@ -529,7 +529,9 @@ def longest_mission(world: World, starts: ArrayLike, settings: Settings, given: 
     """T_max of the closed loop of robots at `starts` `[K, 2]`, in steps; `given`: steps of external paths."""
     checked = check_starts(starts, world.met, world.source)
     unknown = unknown_map_of(world, checked, settings.levels)
-    levels = find_levels(world, world.accessible(checked), settings.levels) if unknown is None else unknown.dearest
+    levels = (
+        find_levels(world.threat, world.accessible(checked), settings.levels) if unknown is None else unknown.dearest
+    )
     return most_steps(settings, levels, given)
 
 

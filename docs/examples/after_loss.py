@@ -22,7 +22,7 @@ from planner.plan.state import MissionState
 from planner.rollouts.tables import AllPairs
 from planner.settings import MOST_PRIORITY, Settings
 from planner.world.generate import Kind, ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 
 CHOICES = RolloutChoices(rollouts=4096, seed=10**6)
 

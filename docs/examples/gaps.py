@@ -24,7 +24,7 @@ from planner.make_plan import make_plan
 from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
 from planner.world.generate import Kind, ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 
 TRIES = {1: 300, 2: 300, 4: 400, 8: 300, 20: 25}
 """Orders of areas that are tried, by the robots of the team; of other teams as of the next smaller."""

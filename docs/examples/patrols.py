@@ -16,7 +16,7 @@ import mrac_jax as mrac
 from planner.make_plan import make_plan
 from planner.rollouts.engine import Rolling, make_engine
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 
 ROBOTS = 8
 NAMES = ("planned on p", "planned on p joined")

@@ -29,7 +29,7 @@ from planner.files import Json
 from planner.formatting import counted, in_percent
 from planner.settings import Choices
 from planner.world.generate import Kind, ThreatPattern, random_world
-from planner.world.levels import place_starts
+from planner.world.start_rule import place_starts
 
 # What the policies are compared on.
 

@@ -42,7 +42,7 @@ from planner.policies import DEFAULT, RULES
 from planner.rollouts.single_run import PythonLoop
 from planner.settings import Policy
 from planner.simulator.codes import Outcome
-from planner.world.levels import starts_of
+from planner.world.start_rule import starts_of
 from planner.world.uncertain_maps import Hazard
 from planner.world.world import World
 

@@ -29,7 +29,7 @@ from planner.failure_model import OWN_KEYS, THRESHOLD_DRAW, key_of
 from planner.settings import Choices, Settings
 from planner.simulator.codes import NO_CELL
 from planner.simulator.searches import neighbour_table
-from planner.world.levels import starts_of
+from planner.world.start_rule import starts_of
 from planner.world.uncertain_maps import Draws, Hazard
 from planner.world.world import World
 

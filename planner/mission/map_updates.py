@@ -259,7 +259,7 @@ def closed_state(state: MissionState, world: World, levels: int) -> MissionState
     # a lost robot in a closed cell is moved to a living one's: it does nothing, and starts have to be free cells
     state = replace(state, robots=tuple(r if free[r.cell] else replace(r, cell=here) for r in state.robots))
     kept = world.accessible(state.starts).ravel()
-    level_of, labels = find_levels(world, kept.reshape(world.shape), levels).of_cell, world.components.ravel()
+    level_of, labels = find_levels(world.threat, kept.reshape(world.shape), levels).of_cell, world.components.ravel()
     visited = np.zeros(kept.size, dtype=np.bool_)
     visited[state.visited] = True
 

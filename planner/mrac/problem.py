@@ -20,10 +20,10 @@ from planner.settings import Settings
 from planner.simulator.codes import BLOCKED, NO_ROBOT
 from planner.simulator.offers import Offer
 from planner.simulator.searches import SafestPaths, safest_paths
-from planner.world.features import as_planned
 from planner.world.levels import NO_LEVEL, ThreatLevels, entry_costs, find_levels, level_costs, levels_of_maps
 from planner.world.map_knowledge import Evidence, Knowledge, Sense
 from planner.world.moving_threats import Phases
+from planner.world.scenario_features import as_planned
 from planner.world.uncertain_maps import Hazard, Uncertain
 from planner.world.world import FOUR_NEIGHBOURS, World, check_starts
 
@@ -347,7 +347,11 @@ def prepare(
         levels, entry, own = own_maps(worlds, world.accessible(checked), settings)
         costs = own.costs.max(axis=0)
     else:
-        levels = find_levels(world, world.accessible(checked), settings.levels) if unknown is None else unknown.dearest
+        levels = (
+            find_levels(world.threat, world.accessible(checked), settings.levels)
+            if unknown is None
+            else unknown.dearest
+        )
         costs = entry_costs(levels, settings.risk, world.source)
         entry = level_costs(levels.values, costs.size, settings.risk).astype(np.int64)
     value = decision_values(world, levels.accessible, settings.priority) if rule.replanning else None

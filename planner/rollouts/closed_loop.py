@@ -25,7 +25,7 @@ from planner.simulator.jit import LARGE
 from planner.simulator.offers import CellOffer
 from planner.simulator.state import Counts
 from planner.tally import RolloutResults, Tally, Trace, tally_key
-from planner.world.features import BEFORE, rules_of
+from planner.world.scenario_features import BEFORE, rules_of
 from planner.world.uncertain_maps import Uncertain
 from planner.world.world import World
 

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from planner.arguments import MAX_STEP, is_whole
+from planner.arguments import MAX_STEP, is_whole, whole
 from planner.errors import WorldError
 from planner.formatting import counted
-from planner.world.keys import CHANCE, first_of
+from planner.world.keys import CHANCE, PLACE, Key, first_of
 
 ANYWHERE = -1
 """Start of a moving threat whose first cell is drawn."""
@@ -119,11 +119,11 @@ class MovingThreats:
             weight = np.where(parts == parts.flat[mover.start], weight, 0)
         return weight / weight.sum()
 
-    def joined(self, told: Iterable[MovingThreat], source: str) -> NDArray[np.float32]:
+    def joined(self, members: Iterable[MovingThreat], source: str) -> NDArray[np.float32]:
         """p of a visit with moving threats at their long-run positions, float32 `[H, W]`.
 
         Args:
-            told: the moving threats to include.
+            members: the moving threats to include.
             source: for messages.
 
         Raises:
@@ -131,7 +131,7 @@ class MovingThreats:
         """
         # Independent threats: the probabilities to survive them multiply.
         passed = 1.0 - self.own.astype(np.float64)
-        for mover in told:
+        for mover in members:
             passed *= 1.0 - mover.hit * self.chances(mover)
         threat = (1.0 - passed).astype(np.float32)
         if (threat >= 1).any():
@@ -141,6 +141,11 @@ class MovingThreats:
         threat = np.where(threat == self.own.astype(np.float64), self.own, threat)
         threat.setflags(write=False)
         return threat
+
+    def planned(self, plan_on: PlannedOn, source: str) -> NDArray[np.float32]:
+        """p that robots plan on, float32 `[H, W]`; errors as in `joined`."""
+        members = [one for one in self.members if plan_on == JOINED or (one.patrols and plan_on == PATROLS)]
+        return self.joined(members, source)
 
     def draws(self) -> None:
         """None: the cells themselves are certain."""
@@ -229,12 +234,96 @@ def _misplaced(movers: MovingThreats, mover: MovingThreat) -> tuple[str, str] | 
     return None
 
 
+AT, STAYS = "[row, col], whole numbers", "a chance to stay, 0 to 1"
+PlannedOn = Literal["patrols", "joined", "own"]
+PLAN_ON: tuple[PlannedOn, ...] = get_args(PlannedOn)
+PATROLS, JOINED = PLAN_ON[:2]
+"""Robots plan on p joined with the long-run positions of moving threats that have a route, the default; or of all
+moving threats, the default before release 0.4."""
+THREATS = "threats"
+"""Value of h for walkers that are the threats of the map."""
+
+
+def make_moving_threats(
+    given: Iterable[MovingThreat | Mapping[str, Any]], threat: NDArray[np.float32], by_default: bool, source: str
+) -> MovingThreats:
+    """Moving threats from a user's list.
+
+    Args:
+        given: moving threats, or the keys of each as in a scenario.
+        threat: float32 `[H, W]`, p of the map, NaN = obstacle.
+        by_default: whether the user leaves `plan_on` out.
+        source: for messages.
+
+    Raises:
+        WorldError: one of them is invalid.
+    """
+    members: list[MovingThreat] = []
+    own = threat
+    for number, one in enumerate(given):
+        if isinstance(one, MovingThreat):
+            members.append(one)
+            continue
+        key = Key(one, f"moving_threats[{number}]", source, WorldError)
+        if has_threats_of_map(key):
+            members += _walking_threats(key, threat)
+            # The threats move away from their cells, which are safe from then on.
+            own = np.where(np.isnan(threat), np.float32(np.nan), np.float32(0))
+        else:
+            members += read_moving_threat(key, threat)
+    # Without free walkers both defaults give the same map.
+    return checked(MovingThreats(own, tuple(members), by_default and not all(one.patrols for one in members)), source)
+
+
+def has_threats_of_map(key: Key) -> bool:
+    """Whether the entry stands for a walker for each dangerous cell of the map."""
+    return isinstance(key.value, dict) and isinstance(key.value.get("h"), str)
+
+
+def _walking_threats(key: Key, threat: NDArray[np.float32]) -> list[MovingThreat]:
+    """A walker for each dangerous cell of the map, with its p as h."""
+    keys = key.mapping(("walk", "h"))
+    if keys["h"].value != THREATS:
+        raise keys["h"].wrong(f"{CHANCE.expected}, or {THREATS}")
+    stay = keys["walk"].number(CHANCE, STAYS)
+    return [MovingThreat(float(p), stay) for p in threat[threat > 0]]
+
+
+def read_moving_threat(key: Key, threat: NDArray[np.float32]) -> list[MovingThreat]:
+    """The moving threat of an entry, repeated `count` times; `threat`: float32 `[H, W]`, p of the map."""
+    keys = key.mapping(("h",), optional=("walk", "patrol", "start", "count"))
+    if ("walk" in keys) == ("patrol" in keys):
+        raise key.wrong("either walk or patrol")
+    stay, start = 0.0, ANYWHERE
+    route: tuple[int, ...] = ()
+    if "walk" in keys:
+        stay = keys["walk"].number(CHANCE, STAYS)
+    else:
+        cells = keys["patrol"].items("a list of two cells [row, col] or more", 2)
+        route = tuple(_cell(item, threat.shape) for item in cells)
+    if "start" in keys and keys["start"].value != "anywhere":
+        start = _cell(keys["start"], threat.shape)
+    one = MovingThreat(keys["h"].number(CHANCE), stay, start, route)
+    with key.naming():
+        checked(MovingThreats(threat, (one,)), str(key.source), named=False)
+    return [one] * (keys["count"].number(whole(1, MOST_MOVERS)) if "count" in keys else 1)
+
+
+def _cell(key: Key, shape: tuple[int, ...]) -> int:
+    """The index of a cell of the map."""
+    row, col = key.numbers(PLACE, AT, 2)
+    height, width = shape
+    if not (0 <= row < height and 0 <= col < width):
+        raise key.wrong(f"a cell of the map: row 0..{height - 1} and col 0..{width - 1}")
+    return int(row * width + col)
+
+
 # Threats that change by phases: p of a visit is that of the phase of its step (SPEC section 16).
 #
 # Axis letters: `P` phases, `N` = H * W cells.
 
 Foresight = Literal["now", "first", "worst"]
-PLAN_ON: tuple[Foresight, ...] = get_args(Foresight)
+FORESIGHTS: tuple[Foresight, ...] = get_args(Foresight)
 MOST_PHASES = 1024
 SAID = {
     "now": "all robots know of a change as it comes",
@@ -348,10 +437,10 @@ def phases_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source
     plan_on = str(arrays.get("phases_plan_on", ""))
     fits = begins.ndim == 1 and begins.dtype.kind == "i" and maps.shape == (len(begins), *threat.shape)
     sound = maps.dtype == np.float32 and bool((np.isnan(maps) | ((maps >= 0) & (maps < 1))).all())
-    if not (fits and sound and plan_on in PLAN_ON and len(begins) and begins[0] == 0):
+    if not (fits and sound and plan_on in FORESIGHTS and len(begins) and begins[0] == 0):
         raise WorldError("phases_* do not fit the map", source=source, expected="arrays as World.save writes them")
     check_phases(begins.tolist(), maps, ~np.isnan(threat), source)
-    found = Phases(begins.astype(np.int64), maps, next(word for word in PLAN_ON if word == plan_on))
+    found = Phases(begins.astype(np.int64), maps, next(word for word in FORESIGHTS if word == plan_on))
     # The stored map of the plan has to follow from the phases: else plans and rollouts would disagree.
     if not np.array_equal(found.planned, threat, equal_nan=True):
         raise WorldError(

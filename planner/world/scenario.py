@@ -22,16 +22,15 @@ from planner.files import Json, atomic_write, check_file
 from planner.formatting import SPEEDS, STEP_SECONDS, TURNS, Pace
 from planner.settings import SETTINGS as KNOWN
 from planner.settings import Settings
-from planner.world.changing_maps import read_hazard, read_phases, read_uncertain
-from planner.world.features import KEYS as KNOWLEDGE
-from planner.world.features import read_knowledge, read_movers
 from planner.world.grid import WHOLE, Grid, Ground, coarsen
 from planner.world.image_files import read_datum
 from planner.world.keys import CELL_SIZE, PLACE, Key, read_yaml
-from planner.world.levels import RULES
 from planner.world.map_files import MAPS_KEY, YAML, is_bag, load_map, read_logged_map, world_grid
 from planner.world.raster_files import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
 from planner.world.robot_types import COMBINE, Matrix, checked_types, read_matrix
+from planner.world.scenario_features import KEYS as KNOWLEDGE
+from planner.world.scenario_features import read_hazard, read_knowledge, read_movers, read_phases, read_uncertain
+from planner.world.start_rule import RULES
 from planner.world.threats import all_threats, layers, one_source
 from planner.world.vector_files import BOUNDARIES, keep_out, read_field
 from planner.world.world import MAX_ROBOTS, Team, World, check_starts

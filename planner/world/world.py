@@ -7,25 +7,53 @@ import reprlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import inf
 from pathlib import Path
-from pkgutil import resolve_name as _elsewhere
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from planner.arguments import Numbers, argument, check_each, exactly
+from planner.arguments import Numbers, argument, check_each, check_word, exactly
 from planner.errors import MapError, PlanError, WorldError
 from planner.failure_model import exposure_of
 from planner.files import atomic_write, check_file, check_new, npz_bytes, read_csv_grid, read_npy, read_npz
 from planner.formatting import TURNS, UNPACED, Pace, chance, html_of, pace_of, text_of
+from planner.simulator.codes import NO_CELL
 from planner.world.grid import HOW_TO_GIVE_ONE, LONGEST, Frame, Georeference, principal
-from planner.world.keys import CELL_SIZE, COORDINATE, DETECT, POSE, SCALE, VALUE, checked_layer, first_of
-from planner.world.map_knowledge import Knowledge, knowledge_in
-from planner.world.moving_threats import MovingThreats, Phases, moving_threats_in, phases_in
+from planner.world.keys import CELL_SIZE, COORDINATE, DETECT, POSE, PROBABILITY, SCALE, VALUE, checked_layer, first_of
+from planner.world.levels import entry_costs, find_levels
+from planner.world.map_knowledge import Knowledge, Sense, knowledge_in, make_detector, make_knowledge, make_sense
+from planner.world.moving_threats import (
+    FORESIGHTS,
+    PATROLS,
+    PLAN_ON,
+    Foresight,
+    MovingThreat,
+    MovingThreats,
+    Phases,
+    PlannedOn,
+    check_phases,
+    make_moving_threats,
+    moving_threats_in,
+    phases_in,
+)
 from planner.world.robot_types import RobotTypes, Sources, types_in
-from planner.world.uncertain_maps import Draws, Hazard, Uncertain, uncertainty_in
+from planner.world.uncertain_maps import (
+    MOST_CHANCES,
+    MOST_LEVELS,
+    Draws,
+    Hazard,
+    Uncertain,
+    make_hazard,
+    maps_of,
+    spread_of,
+    uncertainty_in,
+)
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 MAX_CELLS = 2**26
 """Largest grid accepted, in cells; a file header that claims more is rejected before memory is allocated."""
@@ -34,6 +62,11 @@ MAX_ROBOTS = 1024
 WORLD_FILES = (".npz", ".npy", ".csv")
 EXAMPLE = "example:"
 """Prefix of the names of shipped examples."""
+Obstacles = Literal["unknown", "known"]
+OBSTACLES: tuple[Obstacles, ...] = ("unknown", "known")
+SensorRange = float | Sense | Mapping[str, Any]
+"""A range in cells, or `{range, sight}`."""
+PLANNED_QUANTILE = Numbers(0, 1, above=True, below=True, text="mean, or a number between 0 and 1")
 FOUR_NEIGHBOURS = ndimage.generate_binary_structure(2, 1)
 
 
@@ -394,7 +427,7 @@ class World:
         pace = found if found else self.pace
         return replace(self, pace=replace(pace, turn=self.pace.turn if turn is None else float(turn)))
 
-    def with_phases(self, phases: Sequence[tuple[Any, World | ArrayLike]], plan_on: str = "now") -> World:
+    def with_phases(self, phases: Sequence[tuple[Any, World | ArrayLike]], plan_on: Foresight = FORESIGHTS[0]) -> World:
         """The world with threats that change with time.
 
         Args:
@@ -405,9 +438,30 @@ class World:
 
         Raises WorldError for invalid phases, a world without a known map, or robot types.
         """
-        return _elsewhere("planner.world.changing_maps:with_phases")(self, phases, plan_on)
+        self._require_single_uncertainty("phases")
+        check_word("plan_on", plan_on, FORESIGHTS, WorldError, self.source)
+        begins, maps = [], []
+        for number, pair in enumerate(phases):
+            if not (isinstance(pair, tuple | list) and len(pair) == 2):
+                expected = "pairs (step, threats), e.g. (40, numpy.zeros((20, 20)))"
+                raise WorldError(f"phases[{number}] is {type(pair).__name__}", source=self.source, expected=expected)
+            begins.append(pair[0])
+            maps.append(self._threat_of(pair[1], f"phases[{number}]"))
+            if maps[-1].shape != self.shape:
+                problem = f"phases[{number}] has shape {list(maps[-1].shape)}"
+                raise WorldError(problem, source=self.source, expected=f"that of the map, {list(self.shape)}")
+        check_phases(begins, np.stack(maps or [self.threat]), self.free, self.source)
+        # The world's own threats hold until the first phase.
+        if begins[0] != 0:
+            begins, maps = [0, *begins], [self.threat, *maps]
+        if len(begins) == 1:
+            return replace(self, threat=maps[0])
+        found = Phases(np.array(begins, dtype=np.int64), np.stack(maps), plan_on)
+        return replace(self, threat=found.planned, uncertainty=found)
 
-    def with_moving_threats(self, threats: Iterable[Any], plan_on: str | None = None) -> World:
+    def with_moving_threats(
+        self, threats: Iterable[MovingThreat | Mapping[str, Any]], plan_on: PlannedOn | None = None
+    ) -> World:
         """The world with moving threats in addition to its own.
 
         Args:
@@ -419,7 +473,11 @@ class World:
 
         Raises WorldError for invalid threats, a world without a known map, or robot types.
         """
-        return _elsewhere("planner.world.features:with_movers")(self, threats, plan_on)
+        chosen = PATROLS if plan_on is None else plan_on
+        check_word("plan_on", chosen, PLAN_ON, WorldError, self.source)
+        self._require_single_uncertainty("moving_threats")
+        found = make_moving_threats(threats, self.threat, plan_on is None, self.source)
+        return replace(self, threat=found.planned(chosen, self.source), uncertainty=found)
 
     def with_latent_hazard(self, kind: str, q: ArrayLike, h: ArrayLike = 1.0, learn: bool = False) -> World:
         """The world with hazards that exist or not for a whole run, instead of its threats; robots plan on q * h.
@@ -432,7 +490,16 @@ class World:
 
         Raises WorldError for invalid probabilities, or together with other uncertainty or robot types.
         """
-        return _elsewhere("planner.world.changing_maps:with_hazard")(self, kind, q, h, learn)
+        self._require_single_uncertainty("latent_hazard", over=Hazard)
+        if learn and kind == "independent":
+            problem, expected = (
+                "hazards drawn independently for every visit cannot be estimated",
+                "persistent or consumed ones",
+            )
+            raise WorldError(problem, source=self.source, expected=expected, fix="leave `learn` out")
+        hazard = make_hazard("persistent" if kind == "independent" else kind, q, h, self.free, self.source)
+        hazard = replace(hazard, learn=bool(learn))
+        return self._planning_on(hazard.threat, None if kind == "independent" else hazard)
 
     def with_maps(self, maps: Sequence[ArrayLike] | NDArray, plan_on: float | None = None) -> World:
         """The world with equally likely maps `[M, H, W]` of p, one of which is true in each run.
@@ -440,7 +507,20 @@ class World:
         `plan_on`: None: robots plan on the mean, cell by cell; 0.9: on the 90 % quantile. Raises WorldError for maps
         with other obstacles or another shape, invalid probabilities, or together with other uncertainty or robot types.
         """
-        return _elsewhere("planner.world.changing_maps:with_maps")(self, maps, plan_on)
+        self._require_single_uncertainty("maps", Uncertain, "; a prior is given after the maps")
+        if len(maps) == 0:
+            raise WorldError("uncertain maps is empty", source=self.source, expected="a map or more")
+        checked = [World.create(one, source=f"{self.source}: maps[{place}]") for place, one in enumerate(maps)]
+        for one in checked:
+            if one.shape != self.shape or (one.free != self.free).any():
+                problem = "has other obstacles or another shape"
+                raise WorldError(problem, source=one.source, expected="those of the world")
+        if len(checked) * self.threat.size > MOST_CHANCES:
+            problem = f"{len(checked)} maps of {self.threat.size} cells"
+            raise WorldError(problem, source=self.source, expected=f"at most {MOST_CHANCES} cells in all")
+        uncertain = maps_of(np.stack([one.threat for one in checked]), f"one of {len(checked)} equally likely maps")
+        PLANNED_QUANTILE.check("plan_on", plan_on, WorldError, self.source, optional=True)
+        return self._planning_on(uncertain.plan_on(plan_on), uncertain)
 
     def with_spread(self, kind: str, amount: float, by: str = "common", plan_on: float | None = None) -> World:
         """The world with uncertain threats: the true p of each run is drawn around them.
@@ -452,37 +532,127 @@ class World:
 
         Raises WorldError for invalid arguments, or together with other uncertainty or robot types.
         """
-        return _elsewhere("planner.world.changing_maps:with_spread")(self, kind, amount, by, plan_on)
+        self._require_single_uncertainty("spread", or_else="; a prior is given after the maps")
+        levels = find_levels(self.threat, self.free, MOST_LEVELS).of_cell.reshape(self.shape)
+        uncertain, cut = spread_of(self.threat, levels, kind, amount, by, self.source)
+        PLANNED_QUANTILE.check("plan_on", plan_on, WorldError, self.source, optional=True)
+        notes = (
+            (f"the spread on p is cut off below 1 in {cut} cells: their mean is lower than the map's",) if cut else ()
+        )
+        # The mean of the spread is p up to rounding: the map's own values keep its levels exact.
+        found = self._planning_on(self.threat if plan_on is None else uncertain.plan_on(plan_on), uncertain)
+        return replace(found, notes=(*self.notes, *notes))
 
-    def with_true_map(self, true_map: World | ArrayLike, sensor_range: Any = 0) -> World:
+    def with_true_map(self, true_map: World | ArrayLike, sensor_range: SensorRange = 0) -> World:
         """The world as the robots' prior map; `true_map` is p `[H, W]` of their visits, NaN = obstacle, or a world.
 
         `sensor_range`: in cells; 0: they learn nothing, and the obstacles must be the same. Raises WorldError.
         """
-        return _elsewhere("planner.world.features:with_truth")(self, true_map, sensor_range)
+        for one in (self, true_map):
+            other = (one.uncertainty or one.knowledge) if isinstance(one, World) else None
+            if isinstance(one, World) and other is not None:
+                problem = f"a true map together with another uncertainty: {other.description}"
+                raise WorldError(problem, source=one.source)
+        return self._with_knowledge(self.threat, self._threat_of(true_map, "truth"), sensor_range)
 
-    def with_prior_map(self, p: float, obstacles: str = "unknown", sensor_range: Any = 0) -> World:
+    def with_prior_map(self, p: float, obstacles: Obstacles = "unknown", sensor_range: SensorRange = 0) -> World:
         """The world as the true map of robots whose prior map has every cell free, with threat p.
 
         `obstacles="known"`: the prior map has the obstacles. With `with_maps` the true map is the drawn one. Raises
         WorldError.
         """
-        return _elsewhere("planner.world.features:with_prior")(self, p, obstacles, sensor_range)
+        check_word("obstacles", obstacles, OBSTACLES, WorldError, self.source)
+        PROBABILITY.check("prior_map", p, WorldError, self.source)
+        known = ~self.free if obstacles == "known" else np.zeros(self.shape, dtype=np.bool_)
+        return self._with_knowledge(np.where(known, np.nan, p).astype(np.float32), self.met, sensor_range)
 
-    def with_sensor_range(self, sensor_range: Any) -> World:
+    def with_sensor_range(self, sensor_range: SensorRange) -> World:
         """The world with other sensors, of robots without a known map. Raises WorldError.
 
         With learned hazards: a detector, `{range, sight, detect, false_alarm}`.
         """
-        return _elsewhere("planner.world.features:with_sense")(self, sensor_range)
+        if self.learned_hazard is not None:
+            detector = make_detector(sensor_range, self.source)
+            return replace(self, uncertainty=replace(self.learned_hazard, detector=detector))
+        if self.knowledge is None and not isinstance(self.uncertainty, Uncertain):
+            problem = "the map is known: a sensor range has no effect"
+            hazard = "give `latent_hazard` the key `learn: true`" if isinstance(self.uncertainty, Hazard) else ""
+            fix = hazard or "give a `true_map`, a `prior_map`, or `map_uncertainty`"
+            raise WorldError(problem, source=self.source, fix=fix)
+        return self._with_knowledge(self.threat, self.met, sensor_range)
 
-    def to_networkx(self) -> Any:
+    def seeing(self, cells: float) -> World:
+        """A copy with another sensor range in cells; obstacles block the view as before. Raises WorldError."""
+        sight = self.knowledge is not None and self.knowledge.sense.sight and cells < inf
+        return self.with_sensor_range(Sense(cells, sight))
+
+    def to_networkx(self) -> nx.DiGraph:
         """The free cells as a `networkx.DiGraph`: nodes (row, col) with `threat` and `pos` (metres).
 
         An edge into a cell has `cost` after eq. (3), in the integers of SPEC section 3 (no quantisation), and
         `hazard = -log(1 - p)`, the additive form of the survival probability.
         """
-        return _elsewhere("planner.world.levels:to_networkx")(self)
+        import networkx as nx
+
+        # Imported here: no other method needs the searches, and NetworkX is slow to load.
+        from planner.simulator.searches import neighbour_table
+
+        levels = find_levels(self.threat, self.free, most=self.threat.size + 1)
+        costs, threat = entry_costs(levels, "paper"), self.threat.ravel()
+        free = np.flatnonzero(self.free.ravel())
+        name = {int(cell): divmod(int(cell), self.shape[1]) for cell in free}
+        graph = nx.DiGraph(shape=self.shape, cell_size=self.cell_size, origin=self.origin)
+        for cell, (x, y) in zip(free.tolist(), self.to_xy(free).tolist(), strict=True):
+            graph.add_node(name[cell], threat=float(threat[cell]), pos=(x, y))
+        for side in neighbour_table(self.shape, self.free.ravel()).T:
+            for cell in free[side[free] != NO_CELL].tolist():
+                entered = int(side[cell])
+                hazard = float(-np.log1p(-np.float64(threat[entered])))
+                graph.add_edge(name[cell], name[entered], cost=int(costs[entered]), hazard=hazard)
+        return graph
+
+    def _threat_of(self, given: World | ArrayLike, name: str) -> NDArray[np.float32]:
+        """p `[H, W]` of a world or of an array, checked."""
+        return (given if isinstance(given, World) else World.create(given, source=f"{self.source}: {name}")).threat
+
+    def _planning_on(self, threat: NDArray[np.float32], uncertainty: Hazard | Uncertain | None) -> World:
+        threat.setflags(write=False)
+        return replace(self, threat=threat, uncertainty=uncertainty)
+
+    def _with_knowledge(
+        self, belief: NDArray[np.float32], truth: NDArray[np.float32], sensor_range: SensorRange
+    ) -> World:
+        """The world with the prior map `belief` and the true map `truth`, float32 `[H, W]`."""
+        if self.uncertainty is not None and not isinstance(self.uncertainty, Uncertain):
+            problem = f"map updates do not support this uncertainty: {self.uncertainty.description}"
+            named = {MovingThreats: "moving_threats", Phases: "phases"}.get(type(self.uncertainty), "latent_hazard")
+            fix = f"leave out `{named}`, or `true_map`, `prior_map` and `sensor_range`"
+            raise WorldError(problem, source=self.source, fix=fix)
+        sense = make_sense(sensor_range, self.source)
+        # Sensors compare whole maps: with a quantile per level there would be one map for each combination.
+        if isinstance(self.uncertainty, Uncertain) and not self.uncertainty.whole and sense.range > 0:
+            problem = "sensors need whole maps to choose from; this uncertainty draws one quantile for each level"
+            raise WorldError(problem, source=self.source, fix="draw one for the whole map: `by: common`")
+        belief.setflags(write=False)
+        knowledge = make_knowledge(belief, truth, sense, self.source)
+        starts = None if self.starts is None else check_starts(self.starts, truth, self.source)
+        return replace(self, threat=belief, knowledge=knowledge, starts=starts)
+
+    def _require_single_uncertainty(
+        self, what: str, over: type[Hazard | Uncertain] | None = None, or_else: str = ""
+    ) -> None:
+        """Raise WorldError unless `what` may be the only uncertainty; it may replace one of kind `over`."""
+        replaced = over is not None and isinstance(self.uncertainty, over)
+        for other, expected in (
+            (None if replaced else self.uncertainty, "one known map"),
+            (self.knowledge, "one known map"),
+            (self.types, "one known map for all robots"),
+        ):
+            if other is not None:
+                another = "" if other is self.types else "another uncertainty: "
+                more = "" if other is self.types else or_else
+                problem, fix = f"`{what}` together with {another}{other.description}", f"leave one of the two out{more}"
+                raise WorldError(problem, source=self.source, expected=expected, fix=fix)
 
     def to_cells(self, points: ArrayLike) -> NDArray[np.int64]:
         """(row, col) int64 `[..., 2]` of the cells that hold points (x, y) in metres; possibly off the map."""

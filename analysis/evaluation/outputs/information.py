@@ -30,7 +30,6 @@ from planner.formatting import counted, percent
 from planner.make_plan import allocated_plan
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop, final_odds
-from planner.world.features import seeing, with_sense
 from planner.world.map_knowledge import RANGE, Sense, chance_of
 from planner.world.uncertain_maps import Hazard, Uncertain
 from planner.world.world import World
@@ -100,7 +99,7 @@ class Knowledge(Output):
     @classmethod
     def check(cls, asked: Sequence[float], world: World) -> None:
         if world.knowledge is None:
-            with_sense(world, 0)  # raises the more specific error
+            world.with_sensor_range(0)  # raises the more specific error
             fix = (
                 "give a `true_map` or a `prior_map`"
                 if world.uncertainty is None
@@ -110,7 +109,7 @@ class Knowledge(Output):
                 argument("sensor_range", ",".join(map(str, asked))), expected="a map that robots learn", fix=fix
             )
         for far in asked:
-            seeing(world, far)
+            world.seeing(far)
 
     @classmethod
     def measure(cls, asked: Sequence[float], run: Run) -> Iterator[Self]:

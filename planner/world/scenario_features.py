@@ -1,0 +1,292 @@
+"""Unknown, uncertain and changing maps in a scenario: the keys of SPEC sections 13, 15 and 16; what robots plan on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planner.errors import WorldError
+from planner.settings import Settings
+from planner.world.grid import Ground
+from planner.world.keys import CHANCE, PROBABILITY, Key, read_yaml
+from planner.world.moving_threats import FORESIGHTS, JOINED, PLAN_ON, has_threats_of_map, read_moving_threat
+from planner.world.robot_types import COMBINE
+from planner.world.threats import all_threats, raster_threat, raster_values
+from planner.world.uncertain_maps import AMOUNTS, HAZARDS, SHARED, SPREADS
+from planner.world.world import OBSTACLES, PLANNED_QUANTILE, SensorRange, World, check_starts
+
+KEYS = ("true_map", "prior_map", "sensor_range")
+DETECTS = ("detect", "false_alarm")
+"""Further keys of `sensor_range` for robots that estimate hazards."""
+DEFAULT = (
+    "`plan_on` is not given: robots plan on the moving threats that have a route (patrols); before release 0.4 they "
+    "planned on all of them, which `plan_on: joined` still does"
+)
+"""The note on a scenario that leaves `plan_on` out."""
+FROM_SOURCES = "threats"
+"""Instead of a number or a raster: the probabilities of the scenario's `threats`."""
+AMOUNT = {"lognormal": "sigma", "beta": "sample_size"}
+"""Key for the width of each kind of spread."""
+
+
+def read_knowledge(keys: dict[str, Key], world: World, load: Callable[[Path], World]) -> World:
+    """The world of a scenario with the keys `true_map`, `prior_map`, `sensor_range`.
+
+    Args:
+        keys: of the scenario.
+        world: its map.
+        load: reads an input file.
+
+    Raises:
+        ScenarioError: a key is invalid.
+    """
+    named = [name for name in KEYS if name in keys]
+    if not named:
+        return world
+    if "true_map" in keys:
+        truth = load(_plain_input(keys["true_map"]))
+        with keys["true_map"].naming():
+            belief = world.threat
+            # Unlimited range for now, which accepts any pair of maps; the scenario's range is set last.
+            world = world.with_true_map(truth, inf)
+            if "prior_map" in keys:  # the scenario's own map is neither the prior nor the true map
+                world = replace(world, threat=belief)
+    if "prior_map" in keys:
+        prior = keys["prior_map"].mapping(("p",), optional=("obstacles",))
+        obstacles: Any = prior["obstacles"].choice(OBSTACLES) if "obstacles" in prior else OBSTACLES[0]
+        with keys["prior_map"].naming():
+            world = world.with_prior_map(prior["p"].number(PROBABILITY), obstacles, inf)
+    key = keys.get("sensor_range", keys[named[0]])
+    with key.naming():
+        further = () if world.learned_hazard is None else DETECTS
+        return world.with_sensor_range(_sense(keys["sensor_range"], further) if "sensor_range" in keys else 0)
+
+
+def _plain_input(key: Key) -> Path:
+    """The file of a true map: not a scenario with a true map, which might be this one."""
+    path = key.file("an input file")
+    top = read_yaml(path).value if path.suffix.lower() in (".yaml", ".yml") else None
+    if isinstance(top, dict) and any(name in top for name in KEYS):
+        raise key.wrong(f"an input without {', '.join(KEYS)}")
+    return path
+
+
+def _sense(key: Key, more: tuple[str, ...]) -> SensorRange:
+    if not isinstance(key.value, dict):
+        return key.value
+    return {name: one.value for name, one in key.mapping(("range", *more), optional=("sight",)).items()}
+
+
+def true_world(world: World) -> World:
+    """The true map as a known map; unchanged if the map is known, or if the true map is drawn."""
+    return replace(world, threat=world.met, knowledge=None)
+
+
+def as_planned(world: World, starts: ArrayLike) -> World:
+    """The known map that robots plan on: the prior map with the cells in sensor range of the starts updated.
+
+    A true map that is drawn updates nothing. A known map is returned unchanged.
+
+    Args:
+        world: the map.
+        starts: `[K, 2]`, (row, col).
+    """
+    known = world.knowledge
+    if known is None:
+        return world
+    threat = world.threat
+    if world.uncertainty is None and known.sense.range > 0:
+        placed = check_starts(starts, known.truth, world.source)
+        cells = placed[:, 0] * world.shape[1] + placed[:, 1]
+        seen = known.sense.views(known.free, np.unique(cells))[1]
+        threat = threat.copy()
+        # Only cells in range of the starts: a plan must not know more than its robots.
+        threat.flat[seen] = known.truth.flat[seen]
+        threat.setflags(write=False)
+    return replace(world, threat=threat, knowledge=None, uncertainty=None)
+
+
+def as_before(world: World) -> World:
+    """The world as releases before 0.4 made it: with `plan_on` "joined" if it was not given.
+
+    Unchanged if they made the same world, or rejected it (p = 1).
+    """
+    if world.movers is None or not world.movers.by_default:
+        return world
+    try:
+        movers = replace(world.movers, by_default=False)
+        return replace(world, threat=movers.planned(JOINED, world.source), uncertainty=movers)
+    except WorldError:
+        return world
+
+
+def read_movers(key: Key, plan_on: Key | None, world: World) -> World:
+    """The world of a scenario with `moving_threats: [{walk: s | patrol: [[r, c], ...], start, h, count}, ...]`.
+
+    Args:
+        key: of the moving threats.
+        plan_on: of the scenario, or None.
+        world: its map.
+
+    Raises:
+        ScenarioError: a key is invalid.
+    """
+    items = key.items("a list of moving threats, each {walk or patrol, h}")
+    members = [
+        one
+        for item in items
+        for one in ([item.value] if has_threats_of_map(item) else read_moving_threat(item, world.threat))
+    ]
+    chosen: Any = None if plan_on is None else plan_on.choice(PLAN_ON)
+    with key.naming():
+        found = world.with_moving_threats(members, chosen)
+    return replace(found, notes=(*found.notes, DEFAULT)) if plan_on is None else found
+
+
+def read_phases(keys: dict[str, Key], world: World, ground: Ground) -> World:
+    """The world of a scenario with `phases: [{from: t, threats: [...]}, ...]` and `plan_on`.
+
+    The threats of a phase replace those of the scenario; they are combined with the map's own.
+
+    Args:
+        keys: of the scenario.
+        world: its map.
+        ground: its cells.
+
+    Raises:
+        ScenarioError, MapError: a key or file is invalid.
+    """
+    pairs, combine, notes = [], keys["combine"].choice(COMBINE), list(world.notes)
+    for item in keys["phases"].items("a list of phases, each {from: a step, threats: [...]}"):
+        given = item.mapping(("from", "threats"))
+        threat, said, *_ = all_threats(given["threats"].items("a list of sources", least=0), combine, ground, {})
+        notes.extend(said)
+        with item.naming():
+            cells = World.create(np.where(ground.free, threat, np.nan), source=world.source)
+        pairs.append((given["from"].value, cells))
+    if pairs[0][0] == 0 and keys["threats"].value:
+        fix = "leave `threats` out, or begin later"
+        raise keys["phases"].fault("begin at step 0, where `threats` are to hold", fix=fix)
+    plan_on: Any = keys["plan_on"].choice(FORESIGHTS) if "plan_on" in keys else FORESIGHTS[0]
+    with keys["phases"].naming():
+        return replace(world, notes=tuple(notes)).with_phases(pairs, plan_on)
+
+
+def read_hazard(key: Key, world: World, ground: Ground) -> World:
+    """The world of a scenario with `latent_hazard: {kind, q, h, learn}`; default: q by `threats`, h 1.
+
+    Args:
+        key: of the hazard.
+        world: the scenario's map.
+        ground: its cells.
+
+    Raises:
+        ScenarioError, MapError: a key or file is invalid.
+    """
+    keys = key.mapping(("kind",), optional=("q", "h", "learn"))
+    kind = keys["kind"].choice(("independent", *HAZARDS))
+    learn = keys["learn"].value if "learn" in keys else False
+    if not isinstance(learn, bool):
+        raise keys["learn"].wrong("true or false")
+    named = [name for name in ("q", "h") if name in keys]
+    if kind == "independent":
+        if learn:
+            raise keys["learn"].wrong(
+                "false: every visit is an independent draw: nothing can be estimated", "leave it out"
+            )
+        if named:
+            raise keys[named[0]].wrong("none: independent hazards are the `threats` themselves", "leave it out")
+        return world
+    given = {"q": Key(FROM_SOURCES, f"{key.path}.q", key.source), "h": Key(1, f"{key.path}.h", key.source)} | keys
+    from_sources = [name for name in ("q", "h") if given[name].value == FROM_SOURCES]
+    if len(from_sources) == 2:
+        raise given["h"].wrong(f"a number or a raster: q is {FROM_SOURCES} already")
+    if not from_sources and (world.threat > 0).any():
+        raise given["q"].wrong(f"{FROM_SOURCES}, or no threats at all", "leave q out, or the threats")
+    (q, more), (h, notes) = (_chances(given[name], world, ground) for name in ("q", "h"))
+    with key.naming():
+        return replace(world, notes=(*world.notes, *more, *notes)).with_latent_hazard(kind, q, h, learn)
+
+
+def _chances(key: Key, world: World, ground: Ground) -> tuple[ArrayLike, tuple[str, ...]]:
+    """A number, or an array `[H, W]` of probabilities: of the scenario's sources, or of a raster; notes."""
+    expected = f"a chance 0..1, a raster file, or {FROM_SOURCES}"
+    if key.value == FROM_SOURCES:
+        return np.where(world.free, world.threat, 0.0), ()
+    if not isinstance(key.value, str):
+        return key.number(CHANCE, expected), ()
+    found = raster_values(key, ground)
+    return found.p, tuple(f"{key.path}: {note}" for note in found.notes)
+
+
+def read_uncertain(key: Key, world: World, ground: Ground, combine: str) -> World:
+    """The world of a scenario with `map_uncertainty: {maps or spread, plan_on}`.
+
+    Args:
+        key: of the uncertainty.
+        world: the scenario's map.
+        ground: its cells.
+        combine: how maps combine with the scenario's `threats`, key of `COMBINE`.
+
+    Raises:
+        ScenarioError, MapError: a key or file is invalid.
+    """
+    keys = key.mapping(optional=("maps", "rule", "spread", "plan_on"))
+    if ("maps" in keys) == ("spread" in keys):
+        raise key.wrong("either maps or spread")
+    plan_on = None
+    if "plan_on" in keys and keys["plan_on"].value != "mean":
+        plan_on = keys["plan_on"].number(PLANNED_QUANTILE)
+    with key.naming():
+        if "spread" in keys:
+            return _read_spread(keys["spread"], world, plan_on)
+        maps, notes, rule = [], list(world.notes), {name: keys[name] for name in ("rule",) if name in keys}
+        for item in keys["maps"].items("a list of raster files"):
+            source = raster_threat({"raster": item} | rule, combine, ground)
+            threat = COMBINE[combine](np.where(world.free, world.threat, 0.0), np.where(world.free, source.p, 0.0))
+            maps.append(np.where(world.free, threat, np.nan))
+            notes.extend(f"{item.path}: {note}" for note in source.notes)
+        return replace(world, notes=tuple(notes)).with_maps(maps, plan_on)
+
+
+def _read_spread(key: Key, world: World, plan_on: float | None) -> World:
+    keys = key.mapping(("kind",), optional=("by", *AMOUNT.values()))
+    kind = keys["kind"].choice(SPREADS)
+    keys = key.mapping(("kind", AMOUNT[kind]), optional=("by",))
+    amount = keys[AMOUNT[kind]].number(AMOUNTS)
+    by = keys["by"].choice(SHARED) if "by" in keys else SHARED[0]
+    return world.with_spread(kind, amount, by, plan_on)
+
+
+# Version of the closed loop's rules: rollouts under different rules are never added up.
+#
+# Release 0.4 changed (docs/spec.md, sections 15, 16, 19, 22): the end of a run with phases and detectors, and with all
+# robots lost on the way to base; ties between areas for several robot types; the default of `plan_on` for moving
+# threats. All else is as in release 0.3, and its results remain usable.
+
+BEFORE, NOW = 1, 2
+"""Versions of the rules: of releases before 0.4, and of release 0.4."""
+RELEASES = {BEFORE: "before 0.4", NOW: "0.4"}
+
+
+def rules_of(world: World, settings: Settings, *, closed: bool = True) -> int:
+    """The last version that changed a rule used by the team's rollouts.
+
+    Args:
+        world: the map.
+        settings: of the plan.
+        closed: for the closed loop.
+    """
+    told = world.phases is not None and world.phases.told
+    mixed = settings.types is not None and not isinstance(settings.types, str) and len(set(settings.types)) > 1
+    by_default = world.movers is not None and world.movers.by_default
+    detects = world.learned_hazard is not None and world.learned_hazard.detector is not None
+    # The nominal run is a closed loop too, and the open loop follows its paths.
+    ends_otherwise = closed and (detects or settings.return_to is not None)
+    return NOW if told or mixed or by_default or ends_otherwise else BEFORE
