@@ -160,34 +160,18 @@ def over_a_pole(ring: Ring) -> bool:
 
 def cut_line(line: Ring) -> list[Ring]:
     """The parts of a line with longitudes in -180..180; a line that only touches 180 is not cut."""
-    parts: list[list[NDArray[np.float64]]] = []
-    turn = None
-    for one, other in pairwise(line):
-        for start, end in _pieces(one, other):
-            # The midpoint decides the turn, so that an end on the seam is unambiguous.
-            own = math.floor(((start[0] + end[0]) / 2 + HALF) / TURN)
-            if own != turn:
-                parts.append([start - (own * TURN, 0)])
-                turn = own
-            parts[-1].append(end - (own * TURN, 0))
-    return [np.array(part) for part in parts]
-
-
-def _pieces(
-    one: NDArray[np.float64], other: NDArray[np.float64]
-) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """A segment of a line, cut at every crossing of longitude 180 + 360 n."""
-    low, high = sorted((one[0], other[0]))
-    seams = [TURN * n + HALF for n in range(math.floor((low - HALF) / TURN), math.ceil((high - HALF) / TURN) + 1)]
-    crossed = sorted((seam for seam in seams if low < seam < high), reverse=bool(one[0] > other[0]))
-    ends = [one, *(_crossing(one, other, seam) for seam in crossed), other]
-    return list(pairwise(ends))
-
-
-def _crossing(one: NDArray[np.float64], other: NDArray[np.float64], seam: float) -> NDArray[np.float64]:
-    """The crossing of a segment with a longitude; equal for both directions of the segment."""
-    (x0, y0), (x1, y1) = sorted((tuple(one), tuple(other)))
-    return np.array([seam, y0 + (seam - x0) * (y1 - y0) / (x1 - x0)])
+    points = [line[0]]
+    for (x0, y0), (x1, y1) in pairwise(line):
+        low, high = min(x0, x1), max(x0, x1)
+        seams = [TURN * n + HALF for n in range(math.floor((low - HALF) / TURN), math.ceil((high - HALF) / TURN) + 1)]
+        crossed = sorted((seam for seam in seams if low < seam < high), reverse=bool(x0 > x1))
+        points += [np.array([seam, y0 + (seam - x0) * (y1 - y0) / (x1 - x0)]) for seam in crossed]
+        points.append(np.array([x1, y1]))
+    places = np.array(points)
+    # The middle of a segment decides its turn, so that an end on the seam is unambiguous.
+    turns = np.floor(((places[:-1, 0] + places[1:, 0]) / 2 + HALF) / TURN)
+    ends = [0, *(np.flatnonzero(np.diff(turns)) + 1).tolist(), len(turns)]
+    return [places[first : last + 1] - (turns[first] * TURN, 0) for first, last in pairwise(ends)]
 
 
 def cut_area(rings: list[Ring]) -> list[list[Ring]]:

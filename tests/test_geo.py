@@ -19,6 +19,7 @@ import pyproj
 import pytest
 import rasterio.control
 import rasterio.rpc
+import shapely
 import yaml
 from numpy.typing import NDArray
 from PIL import Image
@@ -429,7 +430,7 @@ KINDS = ("shp", "gpkg")
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    tif(tmp_path / "m.tif", np.zeros((20, 30), dtype=np.float32), (SIDE, 0, LEFT, 0, -SIDE, TOP), "EPSG:32633")
+    utm_map(tmp_path)
     return tmp_path
 
 
@@ -439,28 +440,26 @@ def box(top: int, left: int, bottom: int, right: int) -> NDArray[np.float64]:
     return corners * (SIDE, -SIDE) + (LEFT, TOP)
 
 
-def polygon(*rings: NDArray[np.float64]) -> bytes:
-    """A Polygon in WKB."""
-    body = b"".join(struct.pack("<I", len(ring)) + ring.astype("<f8").tobytes() for ring in rings)
-    return struct.pack("<BII", 1, 3, len(rings)) + body
+def polygon(*rings: NDArray[np.float64]) -> shapely.Polygon:
+    return shapely.Polygon(rings[0], rings[1:])
 
 
-def multi_vectors(*polygons: bytes) -> bytes:
-    return struct.pack("<BII", 1, 6, len(polygons)) + b"".join(polygons)
+def multi_vectors(*polygons: shapely.Polygon) -> shapely.MultiPolygon:
+    return shapely.MultiPolygon(polygons)
 
 
-def write(path: Path, shapes: list[bytes | None], p: list[float], crs: str | None = "EPSG:32633", **more: Any) -> Path:
-    """The polygons with a field `p`, by GDAL's writer."""
+def write(path: Path, shapes: list[Any], p: Any, crs: str | None = "EPSG:32633", **more: Any) -> Path:
+    """The shapes with a field `p` (or several `fields`), by GDAL's writer."""
     keys = {"geometry_type": "MultiPolygon", "crs": crs, "fields": ["p"]} | more
+    columns = [np.array(column) for column in (p if len(keys["fields"]) > 1 else [p])]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # files without a CRS are meant
-        pyogrio.raw.write(path, np.array(shapes, dtype=object), [np.array(p)], **keys)
+        pyogrio.raw.write(path, shapely.to_wkb(np.array(shapes, dtype=object)), columns, **keys)
     return path
 
 
 def threat(folder: Path, **source: Any) -> NDArray[np.float32]:
-    (folder / "s.yaml").write_text(yaml.safe_dump({"map": "m.tif"} | source))
-    return load_input(folder / "s.yaml").threat
+    return load_input(scenario(folder, **source)).threat
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -500,15 +499,8 @@ def test_fields_and_maps_without_a_place(folder: Path, kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_threats_are_named_as_the_file_names_them(folder: Path, kind: str) -> None:
     shapes = [multi_vectors(polygon(box(2, 3, 12, 20))), multi_vectors(polygon(box(14, 1, 18, 4)))]
-    names, numbers = np.array(["quarry", None], dtype=object), np.array([0.25, 0.5])
-    pyogrio.raw.write(
-        folder / f"a.{kind}",
-        np.array(shapes, dtype=object),
-        [names, numbers],
-        geometry_type="MultiPolygon",
-        crs="EPSG:32633",
-        fields=["NAME", "p"],
-    )
+    names = np.array(["quarry", None], dtype=object)
+    write(folder / f"a.{kind}", shapes, [names, [0.25, 0.5]], fields=["NAME", "p"])
     threat(folder, threats=[{"polygons": f"a.{kind}"}])
     sources = load_input(folder / "s.yaml").sources
     assert sources is not None and list(sources.names) == ["quarry", f"features[1] of a.{kind}"]
@@ -552,7 +544,7 @@ def test_files_of_another_kind(folder: Path) -> None:
     with contextlib.closing(sqlite3.connect(folder / "a.gpkg")) as database:
         database.execute("CREATE TABLE t (x)")
     assert "is damaged (no such table: gpkg_contents)" in wrong(folder, "a.gpkg")
-    line = struct.pack("<BII", 1, 2, 2) + np.array([[LEFT, TOP], [LEFT + 50, TOP - 50]]).tobytes()
+    line = shapely.LineString([[LEFT, TOP], [LEFT + 50, TOP - 50]])
     for kind in KINDS:
         write(folder / f"l.{kind}", [line], [0.25], geometry_type="LineString")
         assert "geometry is 'LineString'; expected Polygon or MultiPolygon" in wrong(folder, f"l.{kind}")
@@ -615,15 +607,8 @@ def test_text_in_a_column_of_numbers_is_no_zero(folder: Path, key: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_numbers_that_are_fine_or_not_there(folder: Path, kind: str) -> None:
     """In a field that comes second; an empty one takes the default; text of a record that is deleted is nobody's."""
-    shapes = [
-        multi_vectors(polygon(box(2, 3, 12, 20))),
-        multi_vectors(polygon(box(14, 1, 18, 4))),
-        multi_vectors(polygon(box(0, 0, 1, 1))),
-    ]
-    pyogrio.raw.write(
-        folder / f"a.{kind}", np.array(shapes, dtype=object), [np.array([7, 8, 9]), np.array([np.nan, 0.5, 0.75])],
-        geometry_type="MultiPolygon", crs="EPSG:32633", fields=["row", "p"],
-    )  # fmt: skip
+    shapes = [multi_vectors(polygon(box(*edges))) for edges in ((2, 3, 12, 20), (14, 1, 18, 4), (0, 0, 1, 1))]
+    write(folder / f"a.{kind}", shapes, [[7, 8, 9], [np.nan, 0.5, 0.75]], fields=["row", "p"])
     if kind == "shp":
         table = bytearray((folder / "a.dbf").read_bytes())
         skip, each = struct.unpack_from("<HH", table, 8)
@@ -739,9 +724,7 @@ def test_probabilities_are_averaged_over_the_pixels_of_the_map(tmp_path: Path) -
     left, top = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32633", always_xy=True).transform(15.003, 51.998)
     tif(tmp_path / "m.tif", np.zeros((8, 10), dtype=np.float32), (100, 0, left, 0, -100, top), "EPSG:32633")
     for rule in ({}, {"rule": {"kind": "classes", "edges": [0.1, 0.3], "p": [0.0, 0.2, 0.4]}}):
-        keys = {"map": "m.tif", "threats": [{"raster": "p.tif"} | rule]}
-        (tmp_path / "s.yaml").write_text(yaml.safe_dump(keys))
-        world = load_input(tmp_path / "s.yaml")
+        world = load_input(scenario(tmp_path, threats=[{"raster": "p.tif"} | rule]))
         assert world.georeference is not None and world.shape == (8, 10)
         fine = 60 if not rule else 1
         frame = Frame((8 * fine, 10 * fine), 100 / fine, world.origin)
@@ -758,8 +741,7 @@ def test_rasters_of_other_ground_and_other_zones(tmp_path: Path) -> None:
     tif(tmp_path / "m.tif", values, (10, 0, 500_000, 0, -10, 5_761_038), "EPSG:32633")
     left, top = pyproj.Transformer.from_crs("EPSG:32633", "EPSG:32632").transform(499_900, 5_761_100)
     tif(tmp_path / "d.tif", np.full((50, 50), 0.25, np.float32), (10, 0, left, 0, -10, top), "EPSG:32632")
-    (tmp_path / "s.yaml").write_text(yaml.safe_dump({"map": "m.tif", "threats": [{"raster": "d.tif"}]}))
-    assert (load_input(tmp_path / "s.yaml").threat == 0.25).all()
+    assert (load_input(scenario(tmp_path, threats=[{"raster": "d.tif"}])).threat == 0.25).all()
     tif(tmp_path / "d.tif", np.full((50, 15), 0.25, np.float32), (10, 0, 500_000, 0, -10, 5_761_138), "EPSG:32633")
     with pytest.raises(ScenarioError, match=r"d\.tif, which is nan \(no data\) at \[0, 15\] \(300 such cells\)"):
         load_input(tmp_path / "s.yaml")
@@ -848,8 +830,7 @@ def test_control_points_across_longitude_180(tmp_path: Path, crs: str, turned: b
     tif(tmp_path / "m.tif", np.zeros((4, 8), np.float32), (10, 0, 833_938, 0, -10, 34), "EPSG:32660")
     p = np.full(SHAPE, 0.4, np.float32)
     placed(tmp_path / "p.tif", p, lambda row, col: at(row * 4, col * 4), crs)
-    (tmp_path / "s.yaml").write_text(yaml.safe_dump({"map": "m.tif", "threats": [{"raster": "p.tif"}]}))
-    assert load_input(tmp_path / "s.yaml").threat == pytest.approx(0.4)
+    assert load_input(scenario(tmp_path, threats=[{"raster": "p.tif"}])).threat == pytest.approx(0.4)
 
 
 @pytest.mark.parametrize(
@@ -896,8 +877,7 @@ def test_control_points_of_a_threat_laid_over_a_map(tmp_path: Path) -> None:
         "EPSG:32632",
         edit=lambda out: setattr(out, "scales", (0.01,)),
     )
-    (tmp_path / "s.yaml").write_text(yaml.safe_dump({"map": "m.tif", "threats": [{"raster": "p.tif"}]}))
-    world = load_input(tmp_path / "s.yaml")
+    world = load_input(scenario(tmp_path, threats=[{"raster": "p.tif"}]))
     x, y = np.moveaxis(world.frame.centres() - middle, -1, 0)
     beyond = (1.8 * x - 2.4 * y) / 3  # metres down the raster's rows
     assert world.threat[beyond > 8] == pytest.approx(0.4) and not world.threat[beyond < -8].any()

@@ -85,10 +85,8 @@ def test_no_data_is_an_obstacle_and_an_error_under_a_free_cell(tmp_path: Path) -
     tif(tmp_path / "a.tif", values, (10, 0, 0, 0, -10, 50), "EPSG:32633", nodata=-9999)
     assert np.argwhere(~load_input(tmp_path / "a.tif").free).tolist() == [[1, 2]]
     tif(tmp_path / "map.tif", VALUES, (10, 0, 0, 0, -10, 50), "EPSG:32633")
-    scenario = {"map": {"file": "map.tif"}, "threats": [{"raster": "a.tif"}]}
-    (tmp_path / "s.yaml").write_text(yaml.safe_dump(scenario))
     with pytest.raises(ScenarioError, match=r"nan \(no data\) at \[1, 2\]"):
-        load_input(tmp_path / "s.yaml")
+        load_input(scenario(tmp_path, map={"file": "map.tif"}, threats=[{"raster": "a.tif"}]))
 
 
 def test_degrees_too_wide_for_utm_become_square_metres(tmp_path: Path) -> None:
@@ -127,12 +125,11 @@ def test_oblong_pixels_are_resampled_nearest_or_linear() -> None:
 def test_a_raster_of_other_ground(tmp_path: Path) -> None:
     tif(tmp_path / "dem.tif", VALUES, (10, 0, 500, 0, -10, 900), "EPSG:32633")
     tif(tmp_path / "dose.tif", VALUES, (10, 0, 800, 0, -10, 900), "EPSG:32633")
-    scenario = {"map": {"elevation": "dem.tif"}, "threats": [{"raster": "dose.tif"}]}
-    (tmp_path / "s.yaml").write_text(yaml.safe_dump(scenario))
+    path = scenario(tmp_path, map={"elevation": "dem.tif"}, threats=[{"raster": "dose.tif"}])
     with pytest.raises(ScenarioError, match="data on the ground of the map"):
-        load_input(tmp_path / "s.yaml")
+        load_input(path)
     tif(tmp_path / "dose.tif", VALUES, (10, 0, 500, 0, -10, 900), "EPSG:32633")
-    assert load_input(tmp_path / "s.yaml").threat.tolist() == VALUES.tolist()
+    assert load_input(path).threat.tolist() == VALUES.tolist()
 
 
 def test_elevation_and_dose_in_degrees_stay_aligned(tmp_path: Path) -> None:
@@ -141,9 +138,8 @@ def test_elevation_and_dose_in_degrees_stay_aligned(tmp_path: Path) -> None:
     dose[20:, :] = 0.25
     tif(tmp_path / "dem.tif", np.zeros((40, 50), dtype=np.float32), place, "EPSG:4326")
     tif(tmp_path / "dose.tif", dose, place, "EPSG:4326")
-    scenario = {"map": {"elevation": "dem.tif"}, "cell_size": 200, "threats": [{"raster": "dose.tif"}]}
-    (tmp_path / "s.yaml").write_text(yaml.safe_dump(scenario))
-    world = load_input(tmp_path / "s.yaml")
+    sources = [{"raster": "dose.tif"}]
+    world = load_input(scenario(tmp_path, map={"elevation": "dem.tif"}, cell_size=200, threats=sources))
     assert world.shape == (22, 14)
     assert world.free.sum() > 0.7 * 22 * 14  # the meridian leans by a cell in the zone's metres
     assert set(np.unique(world.threat[world.free])) == {0.0, 0.25}
@@ -519,9 +515,8 @@ def test_elevation_scenarios_refuse_what_makes_no_sense(tmp_path: Path) -> None:
         ({"file": "dem.npy", "max_slope_deg": 30}, "max_slope_deg"),
     ]
     for ground, names in wrong:
-        (tmp_path / "s.yaml").write_text(yaml.safe_dump({"map": ground}))
         with pytest.raises(InputError) as caught:
-            load_input(tmp_path / "s.yaml")
+            load_input(scenario(tmp_path, map=ground))
         assert names in str(caught.value)
 
 
@@ -541,10 +536,8 @@ def survey(folder: Path, samples: NDArray[np.float64] | list[Any], header: str =
 def scenario_samples(folder: Path, **source: Any) -> World:
     given = {"points": "survey.csv", "strength": "rate_cps", "rule": RULE} | source
     source = {key: value for key, value in given.items() if value is not None}
-    keys = {"map": "grid.npz", "threats": [source]}
     np.savez(folder / "grid.npz", threat=np.zeros((10, 15), dtype=np.float32), cell_size=2.0)
-    (folder / "s.yaml").write_text(yaml.safe_dump(keys))
-    return load_input(folder / "s.yaml")
+    return load_input(scenario(folder, map="grid.npz", threats=[source]))
 
 
 def values(world: World) -> NDArray[np.float64]:

@@ -339,43 +339,44 @@ def point_spreads(
         yield (rows + top) * width + cols + left, strength * shape[rows, cols]
 
 
-def misplaced(
-    points: NDArray[np.float64], frame: Frame, georeference: Georeference | None = None
-) -> tuple[str, str] | None:
-    """Whether shapes that affect no pixel are a mistake: off the map, or degrees instead of metres.
+def check_place(key: Key, points: NDArray[np.float64], frame: Frame, place: Georeference | None, what: str) -> None:
+    """Check that shapes that affect no pixel are no mistake: off the map, or degrees instead of metres.
 
     Coordinates look like degrees within their range and with more digits than millimetres.
 
     Args:
-        points: float64 `[points, 2]`, (x, y).
+        key: named in the error.
+        points: float64 `[points, 2]`, (x, y) in metres.
         frame: of the map.
-        georeference: of the map.
+        place: georeference of the map.
+        what: text of the error.
 
-    Returns:
-        (problem, fix), or None.
+    Raises:
+        ScenarioError: they are.
     """
     height, width = frame.shape
     local = frame.local(points) / frame.size
     off = bool((local.max(axis=0) < 0).any() or (local.min(axis=0) > (width, height)).any())
     orders = [bool((np.abs(places) <= (180, 90)).all()) and fine(points) for places in (points, points[:, ::-1])]
     if not off and not any(orders):
-        return None
+        return
     (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
     x, y, _ = frame.origin
-    problem = f"x {west:.10g} .. {east:.10g}, y {south:.10g} .. {north:.10g} "
+    problem = f"names {key.value}, which {what}: x {west:.10g} .. {east:.10g}, y {south:.10g} .. {north:.10g} "
+    size, fix = f", {width * frame.size:g} x {height * frame.size:g} m from ({x:.10g}, {y:.10g})", ""
     if not any(orders):
-        problem += f"lie off the map, {width * frame.size:g} x {height * frame.size:g} m from ({x:.10g}, {y:.10g})"
-        return problem, "give metres in the map's frame (see its origin)"
-    problem += f"look like {'longitude and latitude' if orders[0] else 'latitude and longitude, latitude first'}"
-    if georeference is None:
-        problem += f", {width * frame.size:g} x {height * frame.size:g} m from ({x:.10g}, {y:.10g})"
-        return problem, IN_METRES if orders[0] else f"swap the two, and {IN_METRES}"
-    patch = Patch.of(frame, georeference)
-    problem += f", and the map lies at {patch.words}"
-    near = [patch.is_near(points), patch.is_near(points[:, ::-1])]
-    if not any(near):
-        return problem, "check the coordinates: do they belong to this map?"
-    return problem, f"name the columns {' and '.join(('lon', 'lat') if near[0] else ('lat', 'lon'))}"
+        problem, fix = f"{problem}lie off the map{size}", "give metres in the map's frame (see its origin)"
+    else:
+        problem += f"look like {'longitude and latitude' if orders[0] else 'latitude and longitude, latitude first'}"
+        if place is None:
+            problem, fix = problem + size, IN_METRES if orders[0] else f"swap the two, and {IN_METRES}"
+        else:
+            patch = Patch.of(frame, place)
+            near = [patch.is_near(points), patch.is_near(points[:, ::-1])]
+            names = " and ".join(("lon", "lat") if near[0] else ("lat", "lon"))
+            problem += f", and the map lies at {patch.words}"
+            fix = f"name the columns {names}" if any(near) else "check the coordinates: do they belong to this map?"
+    raise key.fault(problem, "metres on the map", fix)
 
 
 def values_over(layer: RosMap, frame: Frame) -> NDArray[np.int16]:
@@ -585,31 +586,6 @@ def read_points(
     called = table.column(*NAMES)
     names = [("" if called is None else short_name(row[called]), f"line {n} of {path.name}") for n, row in table.rows]
     return Points(np.column_stack([places, strengths]), names, table.notes)
-
-
-class Corners(NamedTuple):
-    """Corners of a file: (x, y) of every line, float64 `[lines, 2]`; whether they are degrees; notes."""
-
-    places: NDArray[np.float64]
-    degrees: bool
-    notes: tuple[str, ...]
-
-
-def read_corners(path: Path) -> Corners:
-    """Read the corners of an area, in order.
-
-    Raises:
-        MapError: the file is invalid.
-    """
-    table = read_table(path, "lines x, y")
-    for options, degrees in (((X, Y), False), ((LONGITUDE, LATITUDE), True)):
-        columns = [table.column(*names) for names in options]
-        if columns[0] is not None and columns[1] is not None:
-            return Corners((table.lonlat if degrees else table.places)((columns[0], columns[1])), degrees, table.notes)
-    if len(table.rows[0][1]) != 2:
-        problem = f"has the columns {', '.join(table.names)[:80]}" if table.names else "has no header"
-        raise MapError(problem, source=path, expected="columns x and y, or lon and lat: a corner a line")
-    return Corners(table.places((0, 1)), False, table.notes)
 
 
 def _columns(table: Table, georeferenced: bool, of: Quantity, said: Mapping[str, str]) -> tuple[list[int], bool]:

@@ -127,7 +127,7 @@ def _placed(band: Band, source: str, cell_size: float | None, how: How, over: Gr
     if over is None or grid is None or grid.georeference is None or not _says_where(band) or _same(band, over):
         return _on_the_ground(band, source, cell_size, how)
     values = lay_over(band, grid.frame, grid.georeference, how, source)
-    note = f"{band.crs.to_string()[:40]}, {_size(band.values)} pixels, laid over the map's: {WORDS[how]}"
+    note = f"{band.crs.to_string()[:40]}, {size_of(band.values.shape)} pixels, laid over the map's: {WORDS[how]}"
     return Raster(values, grid.frame, grid.bounds, source, (note,), grid.georeference)
 
 
@@ -198,39 +198,32 @@ def _on_the_ground(band: Band, source: str, cell_size: float | None, how: How) -
         raise MapError(problem, source=source, expected="degrees or metres", fix="warp it first (gdalwarp -t_srs)")
     zone = utm_zone(*bounds) if geographic else None
     if zone is not None:
-        return _utm_raster(band, bounds, zone, source, cell_size, how)
+        place, where = Georeference(zone[1]), f"{zone[0]} ({zone[1]})"
+        if band.points:
+            return _warped(band, place, where, source, cell_size, how)
+        (west, south, east, north), (rows, cols) = bounds, band.values.shape
+        up, across = degree_sides((south + north) / 2)
+        sides = ((north - south) / rows * up, (east - west) / cols * across)
+        _check_sides(sides, source)
+        edges = edges_in(bounds, crs, place.crs, source)
+        return _warped(band, place, where, source, cell_size, how, (edges, sides))
     if geographic and not band.points:
         return degree_raster(band.values, bounds, crs.to_string(), source, cell_size, how)
     unit = 1.0 if crs is None or geographic else float(crs.units_factor[1])
-    place = Georeference(crs.to_string(), scale=(1 / unit, 1 / unit)) if crs is not None and crs.is_projected else None
+    own = Georeference(crs.to_string(), scale=(1 / unit, 1 / unit)) if crs is not None and crs.is_projected else None
     if band.points:
-        if place is None:
+        if own is None:
             problem = "its control points are on no map projection" + ", and reach out of a UTM zone" * geographic
             raise MapError(problem, source=source, fix="warp it first (gdalwarp -t_srs)")
-        raster = _warped(band, place, place.crs[:40], source, cell_size, how)
+        raster = _warped(band, own, own.crs[:40], source, cell_size, how)
     else:
         (height, width), (left, bottom, right, top) = band.values.shape, np.multiply(bounds, unit).tolist()
         sides = ((top - bottom) / height, (right - left) / width)
-        raster = ground_raster(band.values, sides, (left, bottom), bounds, source, cell_size, how, place)
-    if place is None:
+        raster = ground_raster(band.values, sides, (left, bottom), bounds, source, cell_size, how, own)
+    if own is None:
         return raster
     assert raster.frame is not None
-    return replace(raster, notes=(*raster.notes, *true_metres(raster.frame, place, source, "gdalwarp -t_srs")))
-
-
-def _utm_raster(
-    band: Band, bounds: Bounds, zone: tuple[str, str], source: str, cell_size: float | None, how: How
-) -> Raster:
-    """A raster of degrees on square pixels of its UTM zone."""
-    place, where = Georeference(zone[1]), f"{zone[0]} ({zone[1]})"
-    if band.points:
-        return _warped(band, place, where, source, cell_size, how)
-    (west, south, east, north), (rows, cols) = bounds, band.values.shape
-    up, across = degree_sides((south + north) / 2)
-    sides = ((north - south) / rows * up, (east - west) / cols * across)
-    _check_sides(sides, source)
-    edges = edges_in(bounds, band.crs, place.crs, source)
-    return _warped(band, place, where, source, cell_size, how, (edges, sides))
+    return replace(raster, notes=(*raster.notes, *true_metres(raster.frame, own, source, "gdalwarp -t_srs")))
 
 
 def _warped(
@@ -260,15 +253,16 @@ def _warped(
     frame = Frame((height, width), side, (float(left * side), float(bottom * side), 0.0))
     values = lay_over(band, frame, place, how, source)
     note = (
-        f"{_size(band.values)} pixels of {sides[0]:.4g} x {sides[1]:.4g} m warped to {_size(values)} of {side:.4g} m "
-        f"in {where}, {WORDS[how]}; {int(np.isnan(values).sum())} hold no data"
+        f"{size_of(band.values.shape)} pixels of {sides[0]:.4g} x {sides[1]:.4g} m warped to "
+        f"{size_of(values.shape)} of {side:.4g} m in {where}, {WORDS[how]}; {int(np.isnan(values).sum())} hold no data"
     )
     west, south, east, north = (float(edge * side / unit) for edge in (left, bottom, right, top))
     return Raster(values, frame, (west, south, east, north), source, (note,), place)
 
 
-def _size(values: NDArray) -> str:
-    return " x ".join(map(str, values.shape))
+def size_of(shape: tuple[int, ...]) -> str:
+    """A shape as text: `20 x 30`."""
+    return " x ".join(map(str, shape))
 
 
 def true_metres(frame: Frame, place: Georeference, source: str, command: str) -> tuple[str, ...]:

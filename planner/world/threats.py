@@ -12,23 +12,23 @@ from numpy.typing import NDArray
 from planner.arguments import ANY, POSITIVE, SEED, Numbers, whole
 from planner.formatting import counted
 from planner.world.generate import LEVEL, PAPER_LEVELS, ThreatPattern, most_areas, random_threats
-from planner.world.grid import Frame, Georeference, Grid, Ground
+from planner.world.grid import Grid, Ground
 from planner.world.image_files import read_ros_map
 from planner.world.keys import DETECT, DISTANCE, PROBABILITY, SAMPLE, SHARE, VALUE, Key, Quantity, first_of
 from planner.world.points import (
     COLUMNS,
     CUT_OFF,
     KINDS,
+    check_place,
     farthest,
     interpolated,
-    misplaced,
     point_spreads,
     point_threat,
     read_points,
     values_over,
 )
 from planner.world.raster_bands import AMOUNTS, PROBABILITIES, How, Meaning
-from planner.world.raster_files import TALLEST, Raster, band_threat, read_raster, visible
+from planner.world.raster_files import TALLEST, Raster, band_threat, read_raster, size_of, visible
 from planner.world.robot_types import COMBINE, TYPE, Matrix, Sources, Thing, Things, check_types, combined
 from planner.world.vector_files import read_polygons, rings_of
 
@@ -221,8 +221,8 @@ def raster_on(key: Key, ground: Ground, how: How, of: Meaning) -> tuple[Raster, 
     pixels = raster.values.shape == ground.grid.frame.shape
     if not pixels and raster.values.shape != ground.frame.shape:
         raise key.wrong(
-            f"the map's {_shape(ground.grid.frame.shape)} pixels or its {_shape(ground.frame.shape)} cells",
-            f"the raster has {_shape(raster.values.shape)}",
+            f"the map's {size_of(ground.grid.frame.shape)} pixels or its {size_of(ground.frame.shape)} cells",
+            f"the raster has {size_of(raster.values.shape)}",
         )
     free = ground.free_pixels if pixels else ground.free
     _check_values(raster, free, key)
@@ -326,24 +326,6 @@ def read_falloff(key: Key) -> tuple[str, float]:
     return falloff["kind"].choice(("gaussian", "disc")), falloff["radius"].number(DISTANCE)
 
 
-def check_place(key: Key, points: NDArray[np.float64], frame: Frame, place: Georeference | None, what: str) -> None:
-    """Check that shapes at `points` touch the map; degrees instead of metres usually do not.
-
-    Args:
-        key: named in the error.
-        points: float64 `[points, 2]`, (x, y) in metres.
-        frame: of the map.
-        place: georeference of the map.
-        what: text of the error.
-
-    Raises:
-        ScenarioError: they lie off the map.
-    """
-    wrong = misplaced(points, frame, place)
-    if wrong is not None:
-        raise key.fault(f"names {key.value}, which {what}: {wrong[0]}", "metres on the map", wrong[1])
-
-
 def _polygon(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     default = keys["p"].number(PROBABILITY) if "p" in keys else None
     frame, path = ground.grid.frame, keys["polygons"].file("a file of polygons")
@@ -440,10 +422,6 @@ SOURCES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Key], str, Ground]
     "generate": ((), _generate),
 }
 """Kinds of sources: further keys, and reader."""
-
-
-def _shape(shape: tuple[int, ...]) -> str:
-    return " x ".join(str(n) for n in shape)
 
 
 # Values and detection probabilities of cells: the keys `value` and `detect` of a scenario (SPEC section 13).

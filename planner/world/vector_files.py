@@ -39,10 +39,14 @@ from planner.world.image_files import FULL, read_ros_map
 from planner.world.keys import COORDINATE, FARTHEST, THREAT, Key, Quantity
 from planner.world.points import (
     IN_METRES,
+    LATITUDE,
+    LONGITUDE,
     MAX_BYTES,
     MAX_CORNERS,
     Patch,
     Rings,
+    X,
+    Y,
     boxes_of,
     check_range,
     closed,
@@ -50,7 +54,7 @@ from planner.world.points import (
     fine,
     in_range,
     inside,
-    read_corners,
+    read_table,
     unrolled,
     values_over,
 )
@@ -129,6 +133,7 @@ COMPUTED = """
 """Tables of a GeoPackage with computed content, which may be endless."""
 
 
+SET_CRS = "set it in QGIS, or with ogr2ogr -a_srs; a shapefile's is in its .prj file"
 SOUND = f"rings of three finite points [x, y] or more, none beyond {FARTHEST:g}"
 
 
@@ -165,7 +170,11 @@ def _gdal(path: Path, number: str) -> Shapes:
     if suffix == ".shp" and not fields and any(path.with_suffix(end).exists() for end in (".dbf", ".DBF")):
         raise MapError("its .dbf file cannot be read", source=path, expected=kind.name)
     if suffix == ".kml":
-        found = [(value, name, held) for value, name, shape in found if (held := _polygons_of(shape))]
+        # Polygons also within collections; placemarks without one are points and lines.
+        areas = [
+            [one for one in shapely.get_parts(shapely.get_parts(of)) if one.geom_type == "Polygon"] for *_, of in found
+        ]
+        found = [(*of[:2], shapely.MultiPolygon(held)) for of, held in zip(found, areas, strict=True) if held]
         count = len(re.findall(rb"<(?:\w+:)?Polygon\b", re.sub(rb"(?s)<!--.*?-->", b"", data)))
         if sum(len(shape.geoms) for _, _, shape in found) != count:
             fix = "give every Placemark one geometry (MultiGeometry: several), and every polygon a boundary"
@@ -229,14 +238,6 @@ def _layers(layers: Any, path: Path) -> list[int]:
         fix = "copy the intended one into a separate file (ogr2ogr one.gpkg all.gpkg LAYER)"
         raise MapError(f"its layers are {said}", source=path, expected="one layer of polygons", fix=fix)
     return held
-
-
-def _polygons_of(shape: Any) -> Any:
-    """The polygons of a shape, also within collections, as one shape; None: it has none."""
-    import shapely
-
-    held = [part for part in shapely.get_parts(shapely.get_parts(shape)) if part.geom_type == "Polygon"]
-    return shapely.MultiPolygon(held) if held else None
 
 
 def _feature(number: Any, name: Any, shape: Any, index: int, path: Path) -> Feature:
@@ -346,9 +347,8 @@ def _number(value: object, default: float | None, index: int, path: Path, of: Qu
 def _crs(shapes: Shapes, frame: Frame, georeference: Georeference, path: Path) -> str:
     """The CRS of the coordinates, "" for metres of the frame; MapError if a file mixes both."""
     if shapes.crs is None:
-        fix = "set it in QGIS, or with ogr2ogr -a_srs; a shapefile's is in its .prj file"
         raise MapError(
-            "names no coordinate reference system", source=path, expected="one, on a map that has one", fix=fix
+            "names no coordinate reference system", source=path, expected="one, on a map that has one", fix=SET_CRS
         )
     if shapes.crs:
         return shapes.crs
@@ -399,17 +399,26 @@ def _flat(places: Any) -> Any:
     return places[:2]
 
 
-def _polygons_ring(path: Path) -> Shapes:
+def _csv(path: Path, number: str) -> Shapes:
     """One polygon from the lines of a CSV file, one corner per line."""
-    corners, degrees, notes = read_corners(path)
+    table = read_table(path, "lines x, y")
+    metres, degrees = ([table.column(*names) for names in of] for of in ((X, Y), (LONGITUDE, LATITUDE)))
+    on_earth = None in metres and None not in degrees
+    columns = degrees if on_earth else metres
+    if None in columns:
+        if len(table.rows[0][1]) != 2:
+            problem = f"has the columns {', '.join(table.names)[:80]}" if table.names else "has no header"
+            raise MapError(problem, source=path, expected="columns x and y, or lon and lat: a corner a line")
+        columns = [0, 1]
+    corners = (table.lonlat if on_earth else table.places)([column or 0 for column in columns])
     if len(corners) < 3:
         raise MapError(f"{len(corners)} corners", source=path, expected="three around an area, or more")
-    return Shapes([Feature(None, [[corners]])], WGS84 if degrees else "", notes)
+    return Shapes([Feature(None, [[corners]])], WGS84 if on_earth else "", table.notes)
 
 
 READERS: dict[str, Callable[[Path, str], Shapes]] = {
     **dict.fromkeys((".geojson", ".json"), _geojson),
-    ".csv": lambda path, number: _polygons_ring(path),
+    ".csv": _csv,
     **dict.fromkeys(KINDS, _gdal),
     ".gpx": _gpx,
 }
@@ -567,8 +576,7 @@ def _in_metres(shapes: Shapes, path: Path, cell_size: float) -> Placed:
     if not shapes.crs and swapped and not small and (tiny or fine(corners)):
         check_range(corners, "", path)
     if shapes.crs is None and small:
-        fix = "set it in QGIS, or with ogr2ogr -a_srs; a shapefile's is in its .prj file"
-        raise MapError("names no CRS, and looks like degrees", source=path, expected="a CRS", fix=fix)
+        raise MapError("names no CRS, and looks like degrees", source=path, expected="a CRS", fix=SET_CRS)
     crs = shapes.crs or (WGS84 if shapes.crs == "" and small else "")
     if not crs:
         return polygons, False, None, ("its coordinates are read as metres of a local frame: it names no CRS",)
@@ -629,8 +637,6 @@ def _degrees(polygons: list[Rings], path: Path, cell_size: float) -> Placed:
 
 # Keep-out areas of a scenario as obstacles of the map: polygons, and occupied pixels of another map.
 
-FIELD_KEYS = ("polygons", "layer")
-
 
 def keep_out(key: Key, grid: Grid) -> Grid:
     """A map with the keep-out areas as obstacles: pixels whose centre a polygon holds, or that a ROS map occupies.
@@ -645,7 +651,7 @@ def keep_out(key: Key, grid: Grid) -> Grid:
     """
     state, notes = grid.state.copy(), list(grid.notes)
     for item in key.items("a list of {polygons: ...} and {layer: ...}"):
-        keys = item.mapping(optional=FIELD_KEYS)
+        keys = item.mapping(optional=("polygons", "layer"))
         if len(keys) != 1:
             raise item.wrong("one of polygons and layer")
         (kind,) = keys
