@@ -259,7 +259,8 @@ def main() -> None:
     """Print a line for every world, loop and engine."""
     console, asked = Console(highlight=False), sys.argv[1:]
     if asked[:1] == ["plans"]:
-        return print_plans(asked[1:])
+        print_plans(asked[1:])
+        return
     console.print(f"JAX on {', '.join(device.device_kind for device in jax.local_devices())}")
     print_row(console, "", COLUMNS)
     for title, world, plan in cases():
