@@ -73,7 +73,7 @@ format: $(READY)
 	$(BIN)/ruff check --fix .
 
 bench: $(READY)
-	$(BIN)/python -m analysis.bench.planner
+	$(BIN)/python -m analysis.bench.engines plans
 	$(BIN)/python -m analysis.bench.engines
 
 bench-gpu: $(READY)

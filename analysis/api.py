@@ -324,7 +324,7 @@ def plan(
             The plan covers the rest. Its robots are those of the state, or at `starts` if the file has no positions.
         seconds: end the search of `plan_for="open_loop"` or `policy="best"` after this many seconds (10).
 
-    A `policy` may also be a `planner.policies.rule.Rule`, or a function of an `Offer` that orders areas, least first;
+    A `policy` may also be a `planner.policies.rules.Rule`, or a function of an `Offer` that orders areas, least first;
     an `in_area` order a function of a `CellOffer`. Such a plan cannot be saved. "best" selects the policy with the
     highest coverage of a dozen settings, on separate random numbers, and then improves the order of the areas. In a
     world with a step length a `deadline` may be a time, "45min".

@@ -20,7 +20,7 @@ from planner.mission.mission import Mission
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.plan.state_file import parse_state
-from planner.policies.rule import Rule
+from planner.policies.rules import Rule
 from planner.rollout_sampling import Luck
 from planner.rollouts.closed_loop import trace_from
 from planner.rollouts.single_run import PythonLoop

@@ -30,8 +30,7 @@ from planner.mrac.problem import prepare
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.policies import RULES
-from planner.policies.rule import Rule
-from planner.policies.rules import most_at_risk, refusal_threshold
+from planner.policies.rules import Rule, most_at_risk, refusal_threshold
 from planner.rollouts import tables as tables_module
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.engine import closed_loop_engine

@@ -42,7 +42,7 @@ from mrac_jax.env.coverage_env import ACTIONS, CoverageEnv
 from mrac_jax.env.suite import main as suite_main
 from planner.errors import UsageError
 from planner.make_plan import make_plan
-from planner.policies.rule import Rule
+from planner.policies.rules import Rule
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.settings import Settings
 from planner.world.generate import ThreatPattern, random_world

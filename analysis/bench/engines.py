@@ -1,4 +1,6 @@
-"""Speed of the engines: `python -m analysis.bench.engines [ENGINE ...]`. Full tallies, measured side by side.
+"""Speed: `python -m analysis.bench.engines [ENGINE ...]`, and `... plans [INPUT ...]` for that of planning.
+
+Full tallies, measured side by side.
 
 For both loops of every world: a naive JAX program (open loop), the simulator as Python (closed loop), Numba, and JAX on
 its device; with arguments only the named ones. Before timing, the engines' tallies must be equal. Rows are printed as
@@ -7,10 +9,11 @@ they are measured: median, least and most.
 
 from __future__ import annotations
 
+import resource
 import statistics
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -21,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from analysis.utils.tables import make_table
 from planner.errors import MracError
 from planner.make_plan import make_plan
 from planner.plan.plan import Plan
@@ -211,9 +215,52 @@ def naive_rollouts(paths: list[NDArray[np.int64]], threat: NDArray[np.float32], 
     return jax.jit(sums)
 
 
+# Planning.
+
+SIZES = ((20, 20, 8, 9), (64, 64, 8, 5), (256, 256, 16, 3))
+"""(H, W, robots, repetitions)."""
+
+
+def timed_plan(world: World, robots: int, repetitions: int) -> tuple[float, int, int, int]:
+    """(median seconds, areas, makespan, accessible cells) of planning this world."""
+    starts, _ = place_starts(world, robots)
+    took = []
+    for _ in range(repetitions):
+        clock = time.perf_counter()
+        plan = make_plan(world, starts)
+        took.append(time.perf_counter() - clock)
+    return statistics.median(took), len(plan.areas), plan.makespan, int(world.accessible(starts).sum())
+
+
+def print_plans(inputs: Sequence[str]) -> None:
+    """Print the time of planning, without compilation: the paper's kinds at three sizes, and inputs with 16 robots.
+
+    Medians of several plans, so that plans with a compilation do not count; an input is planned once, after them.
+    """
+    columns = ("world", "robots", "accessible", "areas", "makespan", "seconds")
+    table = make_table(columns, "Planning, compilation apart", left=("world",))
+    kinds: tuple[Kind, ...] = ("contiguous", "scattered")
+    worlds = [
+        (random_world(height, width, ThreatPattern(kind, 10 * height * width // 400)), robots, times)
+        for height, width, robots, times in SIZES
+        for kind in kinds
+    ]
+    worlds += [(load_input(name), 16, 1) for name in inputs]
+    for world, robots, times in worlds:
+        seconds, areas, makespan, accessible = timed_plan(world, robots, times)
+        row = (world.source, str(robots), str(accessible), str(areas), str(makespan), f"{seconds:.4f}")
+        table.add_row(*row)
+    console = Console()
+    console.print(table)
+    console.print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:,.0f} MB")
+
+
 def main() -> None:
     """Print a line for every world, loop and engine."""
     console, asked = Console(highlight=False), sys.argv[1:]
+    if asked[:1] == ["plans"]:
+        print_plans(asked[1:])
+        return
     console.print(f"JAX on {', '.join(device.device_kind for device in jax.local_devices())}")
     print_row(console, "", COLUMNS)
     for title, world, plan in cases():

@@ -35,7 +35,7 @@ from planner.files import Json, check_file
 from planner.formatting import ceiled, counted, in_percent
 from planner.plan.plan import Plan
 from planner.plan_team import plan_team, read_plan
-from planner.policies.rule import Rule
+from planner.policies.rules import Rule
 from planner.rollouts.names import of_jax
 from planner.settings import Settings
 from planner.world.generate import Kind, ThreatPattern, random_world

@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from planner.policies.rule import Rule, own_rule
-from planner.policies.rules import FRONTIER, MRAC, PER_CELL, WATCHFUL
+from planner.policies.rules import FRONTIER, MRAC, PER_CELL, WATCHFUL, Rule, own_rule
 from planner.simulator.offers import Offer
 
 RULES: dict[str, Rule] = {rule.name: rule for rule in (MRAC, PER_CELL, FRONTIER, WATCHFUL)}

@@ -14,7 +14,7 @@ from planner.arguments import argument
 from planner.errors import UsageError
 from planner.failure_model import PLAIN, FailureModel
 from planner.plan.state import MissionState
-from planner.policies.rule import Rule
+from planner.policies.rules import Rule
 from planner.rollout_sampling import first_places
 from planner.rollouts.tables import kinds_of, visit_tables, write_mission_state
 from planner.simulator.policy import Policy

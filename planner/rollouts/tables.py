@@ -18,8 +18,7 @@ from planner.mrac.problem import Problem, Unknown
 from planner.plan.plan import Area
 from planner.plan.state import ON_ITS_WAY, MissionState, RobotState
 from planner.policies import RULES
-from planner.policies.rule import Rule
-from planner.policies.rules import most_at_risk
+from planner.policies.rules import Rule, most_at_risk
 from planner.rollout_sampling import chance_bound
 from planner.simulator.codes import NO_CELL, Outcome
 from planner.simulator.jit import UNCOUNTED
