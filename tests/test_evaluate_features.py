@@ -490,7 +490,7 @@ def test_what_is_known_of_one_robot_is_what_is_said(world: World) -> None:
     exact, told, shown = answer.closed_form, answer.to_json(), answer.shown
     lost = exact.expected_losses
     assert (answer.losses.mean, answer.losses.half_width) == (pytest.approx(lost), 0)
-    assert any(f"The robot is lost in {100 * lost:.2f} % of runs" in note for note in notes_of(answer))
+    assert any(f"all in {100 * lost:.2f} % of runs" in note for note in notes_of(answer))
     assert told["best"]["losses"]["mean"] == pytest.approx(told["losses"]["exact"]) == pytest.approx(lost)
     assert told["some_left"]["ci95"] == [pytest.approx(1 - lost)] * 2
     assert shown.complete.mean == pytest.approx(exact.visited_by_cell[answer.accessible.ravel()].min())

@@ -110,7 +110,7 @@ def test_losses_in_words_and_in_the_headline(alive: tuple[int, ...]) -> None:
     evaluation = evaluation_of(list(alive))
     assert losses_text(evaluation) == SAID[alive]
     said = headline(evaluation)
-    assert said.endswith(f", {SAID[alive].partition(';')[0]}.")
+    assert said.endswith(f", with {SAID[alive].partition(';')[0]}.")
     check_one_meaning(said)
 
 
@@ -126,7 +126,7 @@ def test_a_robot_lost_before_the_runs_is_told_apart() -> None:
     rest = resumed([60, 30, 10, 0])
     mean = "1.5 of 2 robots that were left lost on average"
     assert losses_text(rest) == f"{mean}; all in 60 % of runs, none in 10 %. 1 robot lost before."
-    assert headline(rest).endswith(f", {mean}.")
+    assert headline(rest).endswith(f", with {mean}.")
     assert losses_text(resumed([0, 0, 9, 0])).startswith("0 of 2 robots (0.9 or fewer) that were left lost on average;")
 
 
@@ -162,7 +162,7 @@ def test_nothing_is_added_to_a_mean_that_every_run_reaches() -> None:
     """The one danger is in the last cell, which is visited before it stops the robot."""
     for world in ([[0, 0, 0, 0, 0.3]], [[0, 0], [np.nan, 0.2]]):
         answer = mrac.evaluate(mrac.load(world), 1, rollouts=500, advice=False, band=False)
-        assert headline(answer).startswith("1 robot visits 100 % (exact) of the accessible cells on average, 0.")
+        assert headline(answer).startswith("1 robot visits 100 % (exact) of the accessible cells on average, with 0.")
         assert not {INTERVALS, QUANTILES_NOTE} & set(shown(answer, 500).splitlines())
 
 

@@ -319,7 +319,7 @@ def test_swaths_are_driven_and_the_field_s_cells_are_counted(tmp_path: Path) -> 
         (x, y), at = world.to_xy([cell])[0], np.arange(12) + 0.5
         fine |= (abs(10 - at - y) <= 2)[:, None] & (abs(at - x) <= 2)
     covered = fine[:10, :10].sum()
-    assert answer.outputs["value"].as_json()["covered"]["mean"] == pytest.approx(covered) and covered < 96
+    assert answer.outputs["value"].covered.mean == pytest.approx(covered) and covered < 96
 
 
 @pytest.mark.parametrize(
