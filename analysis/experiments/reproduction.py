@@ -27,7 +27,7 @@ from analysis.statistics import variance_reduction as control_variate
 from analysis.statistics.estimates import Estimate, over_maps
 from analysis.sweeps.cases import check_maps, generated_case
 from analysis.sweeps.engine import Done, Finished, Job, Swept, run_cases
-from analysis.sweeps.results import KEPT, exact_of, figures_of, unit_of
+from analysis.sweeps.results import KEPT, figures_of, unit_of
 from analysis.sweeps.store import Run, Store
 from analysis.utils.notes import ProgressCallback
 from analysis.utils.tables import csv_text, make_table
@@ -105,7 +105,9 @@ def columns_of(run: Run, tally: Tally, loop: str) -> dict[Key, Any]:
         found["run", loop, figure] = first * unit / run.rollouts
         found["square", loop, figure] = second * unit**2 / run.rollouts
         found["controls", loop, figure], found["errors", loop, figure] = means[KEPT[name]], errors[KEPT[name]]
-        found["mean", "open", figure] = exact_of(run, name)
+        cells = run.facts["cells"]["free" if name.endswith("_of_free") else "accessible"]
+        expected = run.facts["exact"][figure.removesuffix("_free")]
+        found["mean", "open", figure] = expected if figure == "time" else expected / cells
     found["mean", "ideal", "visited"] = means[KEPT["ideal"], 0]
     if tally.robots in FIGURE4:
         coverage, steps = FIGURE4[tally.robots]
