@@ -526,7 +526,7 @@ def test_where_it_cannot_be_asked(capsys: pytest.CaptureFixture[str]) -> None:
 
 SEARCHES = 300
 BEFORE_LUCK = (
-    "search.start_positions._places", "search.search.allocated_plan", "search.threats.any_strategy",
+    "search.start_positions._places", "estimators.racing.allocated_plan", "search.threats.any_strategy",
     "search.pareto.longest_mission", "search.team_size.plan_team", "search.team_size.team_upper_bounds",
     "estimators.trial.compile_closed_loop",
 )  # fmt: skip

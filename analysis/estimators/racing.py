@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import partial
 from typing import Any
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from analysis.estimators.trial import Known, Measured, Sampled, Trial, alike
 from analysis.sampling import SECONDS, RolloutChoices
 from analysis.statistics.estimates import bet_interval, error_share
-from analysis.utils.notes import ProgressCallback, of_things, quiet
+from analysis.utils.notes import Doing, ProgressCallback, of_things, quiet
 from analysis.utils.tables import policy_text
 from planner.arguments import MOST_ROLLOUTS, POSITIVE, argument
 from planner.errors import PlanError, UsageError
@@ -33,6 +34,7 @@ from planner.plan.plan import Plan
 from planner.policies import DEFAULT
 from planner.policies.rules import PER_CELL, WATCHFUL
 from planner.rollout_sampling import hazards_met, rows_met
+from planner.rollouts.engine import choose_engine
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.tables import AllPairs, by_price
 from planner.rollouts.threshold_classes import sums_by_threshold
@@ -61,6 +63,59 @@ def screened(settings: Settings) -> tuple[str, ...]:
     """A note if the bounds used for screening are invalid because some failures do not follow p of each visit."""
     said = settings.failure_model().description
     return (f"screened without {said}: the bounds only order the candidates",) if said else ()
+
+
+# The state of every search: its map, settings and rollouts, the trials of its candidates, and its interruption.
+
+
+class Search:
+    """State that the searches share.
+
+    Attributes:
+        cells: number of cells that robots at the starts can reach. exact: whether all results so far are exact.
+        partial: whether the search was interrupted. notes: for the user. kept: cache of the map's distance tables.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        starts: NDArray[np.int64],
+        settings: Settings,
+        choices: RolloutChoices,
+        progress: ProgressCallback | None = None,
+        doing: Doing | None = None,
+    ) -> None:
+        """`starts`: int64 `[K, 2]`, of the team; of searches for a team, cells in the same part of the map."""
+        self.world, self.starts, self.settings = world, starts, settings
+        self.choices = choices.timed(world.pace)
+        self.progress, self.doing = progress or quiet, doing or quiet
+        self.accessible = world.accessible(starts)
+        self.cells = int(self.accessible.sum())
+        self.kept, self.exact, self.partial, self.notes = AllPairs(), True, False, list[str]()
+
+    def trial(self, **other: Any) -> Trial:
+        """A trial of a new plan, before its nominal run; `other`: a `world`, `starts`, `settings` or `choices`."""
+        made = {name: other.get(name, getattr(self, name)) for name in ("world", "starts", "settings", "choices")}
+        plan = allocated_plan(made["world"], made["starts"], made["settings"])
+        return Trial(made["world"], plan, made["choices"], self.kept)
+
+    @contextmanager
+    def stoppable(self, found: Callable[[], object]) -> Iterator[None]:
+        """Work that an interrupt ends, after which the search is `partial`; it is raised while nothing is `found`."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            if not found():
+                raise
+            self.partial = True
+
+    def fields(self) -> dict[str, Any]:
+        """The fields that all results have (`analysis.report.answer.Searched`)."""
+        engine = "" if self.exact else choose_engine(self.choices.engine).name
+        return {
+            "world": self.world, "settings": self.settings, "choices": self.choices, "cells": self.cells,
+            "engine": engine, "partial": self.partial, "notes": tuple(self.notes),
+        }  # fmt: skip
 
 
 def schedule(contenders: int, rollouts: int) -> list[tuple[int, int]]:

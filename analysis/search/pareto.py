@@ -17,10 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.estimators.racing import Search
 from analysis.estimators.trial import Measured, Trial
 from analysis.report.result import Searched
 from analysis.sampling import RolloutChoices
-from analysis.search.search import Search
 from analysis.statistics.estimates import ALPHA, TARGETS, Estimate
 from analysis.theory.verdicts import longest_mission
 from analysis.utils.notes import Doing, ProgressCallback

@@ -21,11 +21,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from analysis.estimators.racing import Halving, check_search, screened
+from analysis.estimators.racing import Halving, Search, check_search, screened
 from analysis.estimators.trial import Measured
 from analysis.report.result import Searched
 from analysis.sampling import RolloutChoices
-from analysis.search.search import Search
 from analysis.statistics.estimates import Estimate
 from analysis.theory.bounds import best_survival
 from analysis.theory.exact import CellValues, open_loop_exact

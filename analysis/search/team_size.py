@@ -15,10 +15,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.estimators.racing import Search
 from analysis.estimators.trial import Measured, Trial
 from analysis.report.result import Searched
 from analysis.sampling import RolloutChoices
-from analysis.search.search import Search
 from analysis.statistics.estimates import TARGETS, Estimate, error_share, exactly, is_at_least, looks
 from analysis.theory.exact import CellValues
 from analysis.theory.verdicts import longest_run

@@ -10,11 +10,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.estimators.racing import Halving, check_search, screened
+from analysis.estimators.racing import Halving, Search, check_search, screened
 from analysis.estimators.trial import Measured, Trial, alike
 from analysis.report.result import Searched
 from analysis.sampling import RolloutChoices
-from analysis.search.search import Search
 from analysis.statistics.estimates import Estimate
 from analysis.theory.bounds import reach_chances
 from analysis.theory.exact import CellValues, coverage_gradient
