@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sized
 from fractions import Fraction
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -73,8 +73,14 @@ def check_headline(checked: MapCheck) -> str:
     failing = [FORMULAS[key].title for key, verdict in paper.items() if verdict is Verdict.FAILS]
     counts = {word: list(paper.values()).count(verdict) for verdict, word in UNCERTAIN.items()}
     said = "".join(f", {number} {word}" for word, number in counts.items() if number)
-    formulas = f"{len(failing)} of the paper's {len(paper)} formulas, counting all readings, fail on this map"
+    formulas = (
+        f"{len(failing)} of the paper's {len(paper)} formulas, counting all readings, {_fail(failing)} on this map"
+    )
     return _with_faults(f"{formulas}{said}", failing, len(ours), [check.about.title for check in checked.faults])
+
+
+def _fail(failing: Sized) -> str:
+    return "fails" if len(failing) == 1 else "fail"
 
 
 def _with_faults(said: str, failing: list[str], ours: int, faults: list[str]) -> str:
@@ -285,7 +291,8 @@ def survey_headline(survey: Survey) -> str:
     paper, ours = ({row.check.formula for row in survey.rows if row.check.about.paper is of} for of in (True, False))
     worlds = counted(survey.worlds, f"{survey.choices.kind} world")
     said = (
-        f"{len(survey.failing)} of the paper's {len(paper)} formulas, counting all readings, fail on some of {worlds}"
+        f"{len(survey.failing)} of the paper's {len(paper)} formulas, counting all readings, "
+        f"{_fail(survey.failing)} on some of {worlds}"
     )
     failing = [
         f"{FORMULAS[key].title} on up to {percent(row.fails.mean)} (k = {row.robots})"

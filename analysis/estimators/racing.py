@@ -110,7 +110,7 @@ class Search:
             self.partial = True
 
     def fields(self) -> dict[str, Any]:
-        """The fields that all results have (`analysis.report.answer.Searched`)."""
+        """The fields that all results have (`analysis.report.result.Searched`)."""
         engine = "" if self.exact else choose_engine(self.choices.engine).name
         return {
             "world": self.world, "settings": self.settings, "choices": self.choices, "cells": self.cells,
