@@ -16,8 +16,6 @@ from determinism import check
 
 @pytest.mark.parametrize("numbers", [range(54), pytest.param(range(54, 2000), marks=pytest.mark.slow)], ids=str)
 def test_no_input_breaks_a_promise(numbers: range) -> None:
-    pytest.importorskip("rasterio")
-    pytest.importorskip("pyogrio")
     from fuzz import fuzz
 
     assert list(fuzz(numbers)) == []

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 from drawn_worlds import expected, one_of, open_loop
 from page_reader import Reader, check_page_is_sound
 from test_page import unpacked_runs as unpacked
@@ -385,7 +386,6 @@ def test_three_teams_on_the_same_luck_and_what_is_known_in_the_end(tmp_path):
     assert np.abs(found.posterior - found.prior)[found.reach].max() < 5 * 0.5 / np.sqrt(256)
     files = answer.save(tmp_path)
     assert {"posterior.png", "entropy.png"} <= {path.name for path in files}
-    rasterio = pytest.importorskip("rasterio")
     with rasterio.open(tmp_path / "posterior.tif") as data:
         assert data.descriptions == ("prior", "posterior", "entropy")
         np.testing.assert_allclose(data.read(2), np.where(SITE.free, found.posterior, np.nan), rtol=1e-6)
