@@ -489,12 +489,12 @@ def test_interrupted_while_a_team_is_rolled_out(monkeypatch: pytest.MonkeyPatch)
 THREAT = np.zeros((6, 9))
 THREAT[1:3, 3:7], THREAT[4:, 6:], THREAT[0, 8], THREAT[3, 2] = 0.2, 0.05, np.nan, np.nan
 WORLD_FRONT = World.create(THREAT, starts=[[0, 0], [5, 0]])
-RESERVED, WORTHS, RUNS = (0.5,), (4.0, 15.0), 50
+RISK_CAPS, ROBOT_VALUES, RUNS = (0.5,), (4.0, 15.0), 50
 
 
 @pytest.fixture(scope="module")
 def small() -> Front:
-    ladders = Ladders(RESERVED, WORTHS, (0.4, 0.7))
+    ladders = Ladders(RISK_CAPS, ROBOT_VALUES, (0.4, 0.7))
     choices = RolloutChoices(rollouts=RUNS, seed=3, engine="numba", exact="never")
     return find_front(WORLD_FRONT, WORLD_FRONT.starts, Settings(), choices, goal=FrontGoal(losses=0.8), ladders=ladders)
 
@@ -514,7 +514,7 @@ def shown(point: Point, cells: int) -> NDArray[np.float64]:
 def test_every_point_is_what_the_simulator_as_python_says(small: Front) -> None:
     settings = {point.setting for point in small.points}
     assert {Setting("mrac"), Setting("per_cell"), Setting("per_cell", risk_cap=0.5)} <= settings
-    assert {s.robot_value for s in settings if s.robot_value} == {*WORTHS}
+    assert {s.robot_value for s in settings if s.robot_value} == {*ROBOT_VALUES}
     cut = {s.policy for s in settings if s.deadline is not None}
     assert cut == {"mrac", "per_cell"} and len(settings) == len(small.points) == 2 + 4 + 1 + 2
     for point in small.points:

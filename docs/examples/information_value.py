@@ -1,4 +1,4 @@
-"""A question's ways on the same random maps with the same luck, for teams of both rules."""
+"""A question's ways on the same random maps with common random numbers, for teams of both rules."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Policies against the paper's on the same random maps with the same luck, map by map; and the bound beside them."""
+"""Policies against the paper's on the same random maps, common random numbers, map by map; and the upper bound."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ from planner.world.start_rule import place_starts
 KINDS: tuple[Kind, ...] = get_args(Kind)
 TEAMS = (1, 2, 4, 8, 20)
 FRONT_TEAMS = (4, 8, 20)
-RESERVE = 0.25
-WORTHS = (5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
+RISK_CAP = 0.25
+ROBOT_VALUES = (5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
 CUTS = (20, 40, 60, 80, 150)
 """Steps at which runs of `mrac` are cut off."""
 LARGE, LARGE_TEAM = 40, 8
@@ -73,12 +73,12 @@ class Setting:
 def rivals(kind: Kind, robots: int, side: int = 20) -> tuple[Setting, ...]:
     """`mrac`, `per_cell`, and for two robots or more `per_cell` with a reserve."""
     plain = (Setting(kind, robots, side=side), Setting(kind, robots, "per_cell", side=side))
-    return plain + (Setting(kind, robots, "per_cell", RESERVE, side=side),) * (robots > 1)
+    return plain + (Setting(kind, robots, "per_cell", RISK_CAP, side=side),) * (robots > 1)
 
 
 def ladder(kind: Kind, robots: int) -> tuple[Setting, ...]:
     """`per_cell` without and with a worth, the least willing last."""
-    return tuple(Setting(kind, robots, "per_cell", robot_value=robot_value) for robot_value in (None, *WORTHS))
+    return tuple(Setting(kind, robots, "per_cell", robot_value=robot_value) for robot_value in (None, *ROBOT_VALUES))
 
 
 def cuts(kind: Kind, robots: int) -> tuple[Setting, ...]:

@@ -1,4 +1,4 @@
-"""What `docs/fields.md` says of random maps: turns, moves, time and coverage of straight rows, on the same luck.
+"""What `docs/fields.md` says of random maps: turns, moves, time and coverage of straight rows, paired.
 
 python docs/examples/straight_rows.py ROLLOUTS MAPS [FILE:CELL_SIZE ...]; 100 and 20 are behind it.
 """
