@@ -12,6 +12,7 @@ from io import BytesIO
 from pathlib import Path
 from types import TracebackType
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 from PIL import Image
@@ -172,6 +173,7 @@ class Browser:
         options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
         service = Service(next(filter(None, map(shutil.which, DRIVERS))))
         self._driver = webdriver.Chrome(options, service)
+        self._driver.set_script_timeout(60)
         self._driver.get("about:blank")
         self._driver.get_log("performance")  # of the browser's own first tab
         self._messages: list[str] = []
@@ -212,13 +214,18 @@ class Browser:
                   mobile=width < 600)  # fmt: skip
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", media="", features=[scheme])
-        self._driver.get(page if isinstance(page, str) else page.as_uri())
+        address = page if isinstance(page, str) else page.as_uri()
+        self._driver.get(address)
+        # A new document may come from another process of the browser: scripts must not run in the old one.
+        self.until(f"document.readyState === 'complete' && location.pathname === {json.dumps(urlsplit(address).path)}")
 
     def run(self, script: str) -> Any:
         """The value of an expression in the page, awaited."""
-        found = self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
-        assert "exceptionDetails" not in found, found["exceptionDetails"]
-        return found["result"].get("value")
+        found = self._driver.execute_async_script(
+            f"const done = arguments[0]; (async () => ({script}))().then((it) => done([it]), (it) => done(String(it)));"
+        )
+        assert isinstance(found, list), found
+        return found[0]
 
     def until(self, condition: str) -> None:
         """Wait until an expression holds, 20 seconds at most."""
