@@ -204,10 +204,6 @@ class Browser:
         """The answer to one command of the DevTools protocol."""
         return self._driver.execute_cdp_cmd(method, words)
 
-    def picture(self, path: Path) -> None:
-        """Write a PNG of the window."""
-        assert self._driver.save_screenshot(str(path))
-
     def open(self, page: Path | str, width: int = 1280, dark: bool = False, height: int = 900) -> None:
         """Load a page, a file or an address, in a window so many CSS pixels wide."""
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1,
