@@ -526,7 +526,7 @@ def test_the_front_s_curve_stands_beside_the_map_with_the_plan_marked() -> None:
     assert "Coverage and losses" not in without
 
 
-WIDER = "document.documentElement.scrollWidth > innerWidth"
+WIDER = "document.documentElement.scrollWidth > document.documentElement.clientWidth"
 TABLES = """[...document.querySelectorAll('.scroll')].filter((box) => !box.closest('details:not([open])'))
     .map((box) => [box.scrollWidth > box.clientWidth + 1, box.classList.contains('cut'),
                    getComputedStyle(box, '::before').content.includes('Scroll')])"""
