@@ -210,7 +210,7 @@ def _traits(side: Side, with_settings: bool) -> dict[str, str]:
     known, uncertainty = side.world.knowledge, side.world.uncertainty
     found = {
         "map": f"map {side.world.source}",
-        "doubt": "a certain map" if uncertainty is None else uncertainty.description,
+        "map uncertainty": "a certain map" if uncertainty is None else uncertainty.description,
         "knowledge": "known map" if known is None else known.sense.description,
         "robots": counted(len(plan.robots), "robot"),
         "plan": f"{'a' if plan.for_open_loop else 'an'} {plan.origin}",

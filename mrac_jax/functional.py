@@ -581,7 +581,8 @@ def closed_gradient(key: Key, book: Book, p: ArrayLike, n: int) -> Gradient:
     if not 2 * GROUPS <= n <= MOST_ROLLOUTS:
         raise InputError(f"n: {n}", expected=f"{2 * GROUPS} .. {MOST_ROLLOUTS}")
     if not isinstance(book.plain, jax.core.Tracer) and not book.plain:
-        raise PlanError("the book's robots wear out or differ", fix="leave `weibull_shape` and `hazard_multiplier` out")
+        fix = "leave `weibull_shape` and `hazard_multiplier` out"
+        raise PlanError("the book's Weibull shape is not 1, or its robots differ", fix=fix)
     with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
         return _closed_gradient(_seed_words(key), book, _probabilities(book, p).astype(jnp.float32), n=int(n))
 

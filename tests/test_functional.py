@@ -455,7 +455,7 @@ def test_the_closed_loop_gradient_on_the_device() -> None:
     with pytest.raises(InputError, match=r"p: shape \[2\]; expected \[4, 5\]"):
         F.closed_gradient(2, few, p[0, :2], 4096)
     worn = replace(few, plain=np.bool_(False))
-    with pytest.raises(PlanError, match="the book's robots wear out or differ"):
+    with pytest.raises(PlanError, match="the book's Weibull shape is not 1, or its robots differ"):
         F.closed_gradient(2, worn, p, 4096)
 
 

@@ -1,4 +1,4 @@
-"""Figures of settings on many maps, map by map, for the studies beside it."""
+"""Figures of settings on many maps, map by map, for the studies in this folder."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from analysis.utils.notes import ProgressCallback
 
 SettingName = TypeVar("SettingName")
 Columns = dict[str, NDArray[np.float64]]
-"""Float64 `[M]` by figure, M maps: means of each map's rollouts, put right by their luck, or exact. "visited" and
+"""Float64 `[M]` by figure, M maps: means of each map's rollouts, with a control variate, or exact. "visited" and
 "complete" are fractions, "losses" robots, "time" steps; "se": the standard error of "visited"; "exact": 1 where the
 figures are known exactly."""
 OfMap = tuple[NDArray[np.float64], NDArray[np.float64], bool]

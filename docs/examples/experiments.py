@@ -1,4 +1,4 @@
-"""Experiments beside the paper's: `python docs/examples/experiments.py policies|online|moving --out FOLDER`.
+"""Experiments in addition to the paper's: `python docs/examples/experiments.py policies|online|moving --out FOLDER`.
 
 policies: coverage of other policies than the paper's; online: the value of the map; moving: moving threats. A quarter
 of an hour each on two cores; fewer `--maps` and `--rollouts` are faster.

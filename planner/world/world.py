@@ -690,10 +690,7 @@ class World:
             ("detect", "" if self.detect is None else f"{self.detect[free].mean():.3g} a visit, on average"),
             ("place", "" if self.georeference is None else f"in {self.georeference.crs[:60]}"),
             ("step", f"{self.pace.seconds:g} s" if self.pace.seconds else ""),
-            (
-                "movers" if self.movers else "phases" if self.phases else "doubt",
-                "" if self.uncertainty is None else self.uncertainty.description,
-            ),
+            ("uncertainty", "" if self.uncertainty is None else self.uncertainty.description),
             ("types", "" if self.types is None else ", ".join(self.types.names)),
             ("knowledge", "" if self.knowledge is None else self.knowledge.description),
             ("robots", team if self.starts is None else f"{len(self.starts)}, starts {self.starts[:8].tolist()}"),
