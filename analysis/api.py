@@ -916,7 +916,7 @@ def check(
     if mode == "world":
         of = plan_of(world, plan)  # type: ignore[arg-type]
         return _ask(lambda tell, doing: check_input(*of, choices, tell, bound, theory), options)
-    sizes = (1, 2, 4, 8, 20) if robots is None else tuple(sorted(set(robots)))
+    sizes = (1, 2, 4, 8, 20) if robots is None else tuple(sorted({robots} if isinstance(robots, int) else set(robots)))
     for count in sizes or (0,):
         whole(1, 1024).check("robots", count)
     survey = make_survey(worlds or 0, kind, size, sizes, settings, bool(bound))

@@ -244,8 +244,16 @@ def names_in(tree: ast.AST) -> Counter[str]:
     """How often each name is used, looked up as "module:name" too; who imports it does not yet use it."""
     texts = (node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str))
     found = Counter(text.partition(":")[2] for text in texts if re.fullmatch(r"[\w.]+:\w+", text))
+    found.update(word for text in texts_of_keys(tree) for word in re.findall(r"\w+", text))
     nodes = (node for node in ast.walk(tree) if isinstance(node, ast.Name | ast.Attribute))
     return found + Counter(node.id if isinstance(node, ast.Name) else node.attr for node in nodes)
+
+
+def texts_of_keys(tree: ast.Module) -> Iterator[str]:
+    """The keys of JSON objects (`planner.json_objects`), which name attributes."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "json_keys":
+            yield ast.literal_eval(node.value)
 
 
 def definitions(tree: ast.Module, classes: set[str]) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef]:

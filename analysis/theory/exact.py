@@ -281,6 +281,12 @@ class OpenLoopExact:
     alive_chance: NDArray[np.float64]
     time_chance: NDArray[np.float64]
     losses_curve: NDArray[np.float64]
+    json_keys = "visited survived alive losses=expected_losses time=mean_time"
+
+    @property
+    def alive(self) -> float:
+        """Expected number of robots that finish their paths."""
+        return float(self.survival.sum())
 
     @property
     def is_known(self) -> bool:
