@@ -418,6 +418,7 @@ def _defaults() -> dict[str, Any]:
 
 SETTINGS: dict[str, Setting] = {item.name: item.metadata["setting"] for item in fields(Settings) if item.metadata}
 LOOP_WORDS = ("closed", "open")
+METRICS = ("visited", "survived", "delivered")
 TEAM, GOAL, ROLLOUTS, SURVEY, TIMELINE, OUTPUT = "Team", "Goal", "Rollouts", "Many maps", "Timeline", "Output"
 """Groups of options, in addition to "Planning"."""
 
@@ -458,6 +459,8 @@ OPTIONS: dict[str, Setting] = SETTINGS | dict([
     _option(ROLLOUTS, "seconds", "Stop after this many seconds of rollouts (default: 10; none with --rollouts or "
             "--precision).", numbers=POSITIVE, rare=True),
     _option(GOAL, "target", "Fraction of the accessible cells to cover, above 0, at most 1."),
+    _option(GOAL, "metric", "Cells that count: visited (default), survived (left alive) or delivered (brought to a "
+            "base, with --return-to).", words=METRICS, default="visited"),
     _option(SURVEY, "processes", "Number of processes; results do not depend on it (default: one per core).",
             numbers=whole(1)),
     _option(SURVEY, "scheduler", "A dask.distributed scheduler, tls://host:8786 or tcp://host:8786.", "text"),

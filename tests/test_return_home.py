@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import heapq
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import ANSWERS
-from helpers import VisitLoop, assert_same_trace, load_plan, play_both_ways
+from drawn_worlds import expected, persistent
+from helpers import VisitLoop, assert_same_trace, delivered, load_plan, play_both_ways
 from numpy.typing import NDArray
 from validate import validate
 
-from analysis.comparison import compare, make_side
+from analysis.comparison import compare, headline, make_side
 from analysis.estimators.trial import Trial
 from analysis.evaluation.evaluate import evaluate
 from analysis.sampling import RolloutChoices
 from analysis.search.pareto import Ladders, find_front, settings_of
+from analysis.search.start_positions import find_starts
 from analysis.search.team_size import find_size, make_goal
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError, PlanError, ScenarioError, UsageError
@@ -30,7 +33,7 @@ from planner.plan.state_file import parse_state
 from planner.plan_team import plan_team
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.exact_tree import WHOLE, grow_tree
-from planner.rollouts.single_run import PythonLoop
+from planner.rollouts.single_run import PythonLoop, SingleRun, play
 from planner.settings import Settings
 from planner.simulator.codes import Doing, EventKind, Outcome
 from planner.tally import Trace
@@ -199,6 +202,9 @@ def test_a_corridor_by_hand(more: dict[str, int], turns_at: int) -> None:
     assert home.mean == pytest.approx((1 - np.float32(p)) ** passed, rel=1e-6)
     assert home.at_least[1].mean == pytest.approx(home.mean) and home.at_least[0].mean == pytest.approx(1)
     assert answer.visited.cells == pytest.approx(1 + sum((1 - p) ** k for k in range(turns_at)), rel=1e-6)
+    assert answer.delivered is not None
+    for cells in (answer.delivered.cells, answer.closed_form.delivered):
+        assert cells == pytest.approx(1 + turns_at * home.mean)
 
 
 def test_a_charged_robot_goes_out_again_by_hand() -> None:
@@ -212,6 +218,7 @@ def test_a_charged_robot_goes_out_again_by_hand() -> None:
     passes = (1 - float(np.float32(p))) ** np.arange(15)
     assert answer.figures.home is not None and answer.figures.home.mean == pytest.approx(passes[14], rel=1e-6)
     assert answer.visited.cells == pytest.approx(1 + passes[:4].sum() + passes[7:11].sum(), rel=1e-6)
+    assert answer.closed_form.delivered == pytest.approx(1 + 4 * passes[7] + 4 * passes[14], rel=1e-6)
     without = make_plan(world, [[0, 4]], Settings(return_to="home", range=9))
     assert (without.outcome, len(np.unique(without.robots[0].path))) == ("no_progress", 5)
 
@@ -290,7 +297,11 @@ def test_a_run_goes_on_from_its_state_as_if_it_had_not_stopped() -> None:
                     continue
                 read = parse_state(state.to_json(), world, "state")
                 rest = allocated_plan(world, read.starts, Settings(**KINDS[number]), read)
-                again = VisitLoop(rest, world).trace(0, rollout)
+                assert read.delivered is not None
+                assert set(read.delivered.tolist()) == delivered(trace, plan.bases, step + 1)
+                run = VisitLoop(rest, world).begin(0, rollout)
+                again = play(run).trace
+                assert run.raw.marks["delivered"] == len(delivered(trace, plan.bases))
                 np.testing.assert_array_equal(again.cells[step:], trace.cells[step:])
                 assert again.outcome == trace.outcome
                 compiled = compile_closed_loop(rest, world, tabled=seed % 2 == 0)
@@ -350,9 +361,10 @@ def test_worth_counts_the_way_home() -> None:
     }  # fmt: skip
 
 
-def test_the_settings_of_a_front_are_missions_that_end_at_home() -> None:
+@pytest.mark.parametrize("metric", ["visited", "delivered"])
+def test_the_settings_of_a_front_are_missions_that_end_at_home(metric: str) -> None:
     world, starts = drawn(7)
-    settings, choices = Settings(return_to="nearest"), RolloutChoices(rollouts=256, exact="never")
+    settings, choices = Settings(return_to="nearest"), RolloutChoices(rollouts=256, exact="never", metric=metric)
     ladders = Ladders(risk_caps=(), robot_values=(), landmarks=(0.5,))
     front = find_front(world, starts, settings, choices, ladders=ladders)
     ended = [point for point in front.points if point.setting.deadline is not None]
@@ -362,7 +374,7 @@ def test_the_settings_of_a_front_are_missions_that_end_at_home() -> None:
         tally, singles = run_range(compile_closed_loop(plan, world), 0, 0, 256, singles=True)
         assert singles is not None and singles.time.max() <= (point.setting.deadline or 0)
         np.testing.assert_array_equal(singles.home, singles.alive)
-        mean = (tally.visited @ np.arange(len(tally.visited))) / 256 / tally.accessible
+        mean = (getattr(tally, metric) @ np.arange(len(tally.visited))) / 256 / tally.accessible
         assert point.coverage.mean == pytest.approx(mean, abs=1e-9)
 
 
@@ -436,6 +448,59 @@ def test_all_that_can_happen_to_teams_that_come_home(number: int) -> None:
     error = np.sqrt(np.array(home) * (1 - np.array(home)) / 4096)
     assert (np.abs(tally.home / 4096 - home) <= 5 * error + 1e-9).all()
     play_both_ways(plan, world, number, 4)
+
+
+@pytest.mark.parametrize("number", [0, 1, 2, 4, 5, 6, 8, 9])
+def test_all_cells_that_can_be_delivered(number: int) -> None:
+    """Of every history that can happen a plain count of its trace; in the open loop of every robot's own path."""
+    world, starts = tiny(number)
+    plan = make_plan(world, starts, Settings(**HOMES[number % len(HOMES)]))
+    loop, size = compile_closed_loop(plan, world, interpreted=True), int(world.accessible(plan.starts).sum()) + 1
+
+    def closed(hit: Callable[[int, int, int], bool]) -> NDArray[np.float64]:
+        return np.eye(size)[len(delivered(play(SingleRun(loop, hit=hit)).trace, plan.bases))]
+
+    def opened(hit: Callable[[int, int, int], bool]) -> NDArray[np.float64]:
+        found = set[int]()
+        for robot, own in enumerate(plan.bases):
+            path = plan.robots[robot].path.tolist()
+            for step, cell in enumerate(path):
+                if (step == 0 or path[step - 1] != cell) and hit(robot, step, cell):
+                    break
+                found |= set(path[: step + 1]) if cell in own else set()
+        return np.array(float(len(found)))
+
+    p = np.nan_to_num(world.threat).ravel().astype(np.float64)
+    tree = grow_tree(compile_closed_loop(plan, world), 0.0, 10**6)
+    assert tree is not None
+    chances = expected(closed, lambda chance, _, cell: chance(p[cell]))
+    np.testing.assert_allclose(tree.counts.delivered / WHOLE, chances, atol=1e-9)
+    assert tree.covered("delivered")[0] < tree.covered("visited")[0]
+    open_mean = expected(opened, lambda chance, _, cell: chance(p[cell]))
+    assert open_loop_exact(plan, world).delivered == pytest.approx(open_mean, abs=1e-9)
+    hidden = world.with_latent_hazard("persistent", np.where(world.free, 0.5, np.nan), 2 * world.threat)
+    of_team = make_plan(hidden, starts, Settings(return_to="home"))
+    plan = replace(of_team, robots=plan.robots, settings=plan.settings)
+    wanted = expected(opened, persistent(np.where(p > 0, 0.5, 0.0), 2 * p))
+    assert open_loop_exact(plan, hidden).delivered == pytest.approx(wanted, abs=1e-6)
+
+
+def test_teams_compared_by_cells_delivered() -> None:
+    """From the left one robot delivers its cell, and three more with chance .25, of four."""
+    world, choices = World.create([[0, 0.5, 0, 0]]), RolloutChoices(rollouts=4096, metric="delivered")
+    home = Settings(return_to="home")
+    size = find_size(world, home, make_goal(0.4, None, False, "delivered", 2), choices)
+    assert size.robots == 1 and size.points[0].coverage is not None
+    assert size.points[0].coverage.mean == pytest.approx(1.75 / 4)
+    found = find_starts(world, 1, home, choices, depot=True, candidates=[[0, 0], [0, 2]])
+    assert found.starts.tolist() == [[0, 2]]  # from there only the first cell is beyond the threat
+    far, near = (make_side(world, make_plan(world, [start], home), choices) for start in ([0, 0], [0, 2]))
+    answer = compare(far, near)
+    assert answer.figures[-1] == "delivered" and "delivers" in headline(answer) and answer.ahead > answer.behind == 0
+    assert answer.mean(far, "delivered") == pytest.approx(1.75 / 4, abs=0.02)
+    one, two = (run_range(compile_closed_loop(far.plan, world), 0, start, 9)[0] for start in (0, 9))
+    assert (one + two).delivered.sum() == 18
+    assert not len((one + replace(two, delivered=two.delivered[:0])).delivered)  # of a store that lacks them
 
 
 # Range: robots that make so many moves and then stay (SPEC section 12).

@@ -34,7 +34,7 @@ MOST_TABLED = 10_000
 """Most accessible cells with all-pairs tables (0.6 GB); on larger maps distances are searched for on demand."""
 SINGLE_FILE = 64
 """Rollouts that a thread takes at a time if it runs them one by one."""
-OF_SINGLES = "visited survived time alive outcome bisected divided home delivered".split()
+OF_SINGLES = ("visited", "survived", "time", "alive", "outcome", "bisected", "divided", "home", "delivered")
 """Columns of `Singles.numbers`, as fields of `RolloutResults`."""
 OF_WORTH = "worth_covered", "worth_found"
 TIME, OUTCOME = map(OF_SINGLES.index, ("time", "outcome"))

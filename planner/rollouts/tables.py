@@ -435,7 +435,9 @@ def write_mission_state(mission: MissionState, state: State, tables: Tables, cel
         state.passes[survived] = 1  # the number of earlier visits is not known
     # A mission that knows what is delivered; cells closed since are no longer counted.
     if mission.delivered is not None:
-        for row, kept in zip(state.carried, (*(one.carried for one in mission.robots), mission.delivered), strict=False):
+        for row, kept in zip(
+            state.carried, (*(one.carried for one in mission.robots), mission.delivered), strict=False
+        ):
             fill(row, np.searchsorted(cells, np.intersect1d(kept, mission.visited)))
         state.marks["delivered"] = np.bitwise_count(state.carried[-1:]).sum()
     left = np.bincount(state.home[:-1][state.home[:-1] & VISITED == 0] >> AREA_BITS, minlength=len(mission.areas))

@@ -419,8 +419,8 @@ class State(NamedTuple):
         near, entry, level: like `Tables.near`, `entry` and `truths[m]`, as the team's map has them. known: uint8 `[A]`,
             flags: SEEN by a sensor, LOOKED from, OUT of every area and not visited. fate: like home `[room]`, scratch.
             mind: int64 `[MIND]`. All empty for a known map. odds: like `Tables.odds`, updated.
-        carried: uint64 `[K + 1, A / 64]`, bits of the cells that each robot has visited since it was last at a base; the
-            last row: cells delivered. Without rows where robots do not return, or a resumed mission does not know.
+        carried: uint64 `[K + 1, A / 64]`, bits of the cells that each robot has visited since it was last at a base;
+            the last row: cells delivered. Without rows where robots do not return, or a resumed mission does not know.
     """
 
     home: NDArray
