@@ -185,7 +185,7 @@ def play_both_ways(
 def delivered(trace: Trace, bases: Sequence[set[int]], last: int | None = None) -> set[int]:
     """The cells that a robot visited and brought to one of its bases, by the end of step `last`."""
     found = set[int]()
-    for cells, doing, own in zip(trace.cells[:last].T.tolist(), trace.doing[:last].T, bases, strict=True):
+    for cells, doing, own in zip(trace.cells[:last].T.tolist(), trace.doing[:last].T, bases, strict=bool(bases)):
         at_base = [step for step, cell in enumerate(cells) if cell in own and doing[step] != Doing.DEAD]
         found |= set(cells[: max(at_base, default=-1) + 1])
     return found
