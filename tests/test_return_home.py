@@ -52,6 +52,7 @@ KINDS: list[dict[str, Any]] = [
     {"return_to": "home", "policy": "per_cell", "range": 45},
     {"return_to": "nearest", "transit": "area", "range": 50},
     {"return_to": "home", "range": 30, "recharge": 4},
+    {"return_to": "nearest", "deliver_every": 6, "policy": "per_cell"},
     {
         "return_to": "nearest",
         "range": (25, 40, 60),
@@ -220,6 +221,15 @@ def test_a_charged_robot_goes_out_again_by_hand() -> None:
     assert answer.closed_form.delivered == pytest.approx(1 + 4 * passes[7] + 4 * passes[14], rel=1e-6)
     without = make_plan(world, [[0, 4]], Settings(return_to="home", range=9))
     assert (without.outcome, len(np.unique(without.robots[0].path))) == ("no_progress", 5)
+
+
+def test_a_robot_delivers_two_cells_at_a_time_by_hand() -> None:
+    plan = make_plan(corridor(7, 0.05), [[0, 0]], Settings(return_to="home", deliver_every=2))
+    trips = ([*range(most), *range(most, 0, -1), 0] for most in (2, 4, 6))
+    assert plan.robots[0].path.tolist() == [cell for trip in trips for cell in trip]
+    answer = evaluate(corridor(7, 0.05), plan, RolloutChoices(rollouts=2000))
+    passes = (1 - float(np.float32(0.05))) ** np.array([0, 3, 10, 21])
+    assert answer.delivered is not None and answer.delivered.cells == pytest.approx(passes @ [1, 2, 2, 2])
 
 
 @pytest.mark.parametrize("number", [0, 1, 2, 3, 4, 7])

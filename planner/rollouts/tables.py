@@ -159,7 +159,8 @@ def make_tables(
     )
     tables = tables._replace(quiet_steps=STUCK_AFTER * max(problem.settings.paces, default=1))
     if problem.home is not None:
-        tables = tables._replace(last_step=problem.home.last, recharge=problem.settings.recharge or 0)
+        again = {name: getattr(problem.settings, name) or 0 for name in ("recharge", "deliver_every")}
+        tables = tables._replace(last_step=problem.home.last, **again)
     if unknown is not None:  # a search passes all that is near enough to matter: nothing is far
         goal, last_update = int(unknown.accessible.sum()), unknown.last_update
         tables = tables._replace(nearby=len(cells), goal=goal, last_update=last_update)

@@ -147,9 +147,10 @@ class Tables(NamedTuple):
             `kind_begin` `[C]` counts the cells of the kinds before it; both int64. All empty where there are tables.
         nearby: cells that a search passes before the long-range search takes over. wide: as in `SafeParts`. patience:
             searches from a cell before its costs to all cells are kept. goal: cells that count. last_step: step by
-            which robots that return to base have to be there. recharge: steps of a recharge, 0: none. quiet_steps:
-            steps in a row without progress after which a run ends, unless a phase is announced for later. last_update:
-            the step of the last announced phase, 0: none.
+            which robots that return to base have to be there. recharge: steps of a recharge, 0: none. deliver_every:
+            cells to deliver with which a robot returns and goes on, 0: none. quiet_steps: steps in a row without
+            progress after which a run ends, unless a phase is announced for later. last_update: the step of the last
+            announced phase, 0: none.
         truths: int16 `[M, A]`, level of each cell in each candidate of the true map, NONE for an obstacle; of online
             missions. belief: int16 `[A]`, the prior map. price: int64 `[L]`, cost of entering a cell of each level.
             in_view: like near, the cells within sensor range of each cell, from `view_begin` int64 `[A + 1]` on
@@ -263,6 +264,7 @@ class Tables(NamedTuple):
     goal: int = 0
     last_step: int = 0
     recharge: int = 0
+    deliver_every: int = 0
     quiet_steps: int = 0
     last_update: int = 0
     follows: bool | None = None
