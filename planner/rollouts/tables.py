@@ -159,7 +159,7 @@ def make_tables(
     )
     tables = tables._replace(quiet_steps=STUCK_AFTER * max(problem.settings.paces, default=1))
     if problem.home is not None:
-        again = {name: getattr(problem.settings, name) or 0 for name in ("recharge", "deliver_every")}
+        again: dict[str, Any] = {name: getattr(problem.settings, name) or 0 for name in ("recharge", "deliver_every")}
         tables = tables._replace(last_step=problem.home.last, **again)
     if unknown is not None:  # a search passes all that is near enough to matter: nothing is far
         goal, last_update = int(unknown.accessible.sum()), unknown.last_update
