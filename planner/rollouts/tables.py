@@ -159,7 +159,8 @@ def make_tables(
     )
     tables = tables._replace(quiet_steps=STUCK_AFTER * max(problem.settings.paces, default=1))
     if problem.home is not None:
-        tables = tables._replace(last_step=problem.home.last, recharge=problem.settings.recharge or 0)
+        again: dict[str, Any] = {name: getattr(problem.settings, name) or 0 for name in ("recharge", "deliver_every")}
+        tables = tables._replace(last_step=problem.home.last, **again)
     if unknown is not None:  # a search passes all that is near enough to matter: nothing is far
         goal, last_update = int(unknown.accessible.sum()), unknown.last_update
         tables = tables._replace(nearby=len(cells), goal=goal, last_update=last_update)
@@ -433,6 +434,13 @@ def write_mission_state(mission: MissionState, state: State, tables: Tables, cel
     state.home[survived] |= SURVIVED
     if len(state.passes):
         state.passes[survived] = 1  # the number of earlier visits is not known
+    # A mission that knows what is delivered; cells closed since are no longer counted.
+    if mission.delivered is not None:
+        for row, kept in zip(
+            state.carried, (*(one.carried for one in mission.robots), mission.delivered), strict=False
+        ):
+            fill(row, np.searchsorted(cells, np.intersect1d(kept, mission.visited)))
+        state.marks["delivered"] = np.bitwise_count(state.carried[-1:]).sum()
     left = np.bincount(state.home[:-1][state.home[:-1] & VISITED == 0] >> AREA_BITS, minlength=len(mission.areas))
     state.areas["left"][: len(left)] = left
     unassigned = [number for number, area in enumerate(mission.areas) if area.state == "unassigned"]
