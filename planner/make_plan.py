@@ -11,16 +11,17 @@ from planner.arguments import argument
 from planner.errors import PlanError, StateError
 from planner.mrac.areas import allocate_areas_to_robots, connected_parts, find_areas, metis_parts
 from planner.mrac.problem import Problem, prepare
-from planner.plan.plan import Area, Plan, RobotPlan, last_move
+from planner.plan.plan import Area, Leg, Plan, RobotPlan, last_move
 from planner.plan.reading import check_partition
 from planner.plan.state import NAT, ON_ITS_WAY, RETURNING, AreaState, MissionState, RobotState
-from planner.rollouts.closed_loop import compile_closed_loop, nominal_loop
+from planner.rollouts.closed_loop import compile_closed_loop, nominal_loop, with_run
 from planner.rollouts.runners import Runner
-from planner.rollouts.single_run import Run, SingleRun, play, play_compiled
+from planner.rollouts.single_run import SingleRun, play_compiled
 from planner.settings import Settings
 from planner.simulator.codes import NO_ROBOT
 from planner.simulator.searches import NOT_WANTED, UNREACHED
 from planner.simulator.thresholds import MOST
+from planner.tally import Trace
 from planner.world.levels import NO_LEVEL
 from planner.world.planned_map import as_planned
 from planner.world.world import World
@@ -75,25 +76,28 @@ def allocated(
     return problem, Plan(world.shape, world.sha256, problem.settings, robots, areas, state=state, source=world.source)
 
 
-def nominal_run(problem: Problem, plan: Plan) -> Run:
+def nominal_run(problem: Problem, plan: Plan) -> tuple[Trace, tuple[tuple[Leg, ...], ...], tuple[Area, ...]]:
     """Algorithm 2 without losses, from the areas of the plan or from its state; phases change the map.
 
     Args:
         problem: of the plan.
         plan: with areas.
 
+    Returns:
+        (trace, legs of each robot, areas made).
+
     Raises:
         WorldError: legs stay in areas (`transit="area"`) which change during the run.
     """
     if problem.unknown is not None and problem.unknown.phases is not None and problem.stay_inside:
         problem.world.require_known_map('`transit="area"`, legs that stay in their area,')
-    loop = compile_closed_loop(plan, problem.world, problem=problem, interpreted=True)
-    loop = nominal_loop(loop)
+    loop = nominal_loop(compile_closed_loop(plan, problem.world, problem=problem, interpreted=True))
     built_in = loop.in_area is None and (loop.policy is None or loop.policy.key is None)
     cells = len(loop.cells)
     if built_in and not loop.learns and (cells >= LARGE or Runner(loop, 0, 1).is_compiled(cached=cells >= MEDIUM)):
         return play_compiled(loop)
-    return play(SingleRun(loop))
+    run = SingleRun(loop).play()
+    return run.trace, run.legs, tuple(run.notes.made)
 
 
 def make_plan(
@@ -125,15 +129,8 @@ def make_plan(
     if settings is not None and settings.plan_for != "closed_loop":
         raise PlanError(f"plan_for is {settings.plan_for} in a plan with areas", expected="closed_loop")
     problem, plan = allocated(world, starts, settings or Settings(), state, allocation=allocation)
-    run = nominal_run(problem, plan)
-    return replace(
-        plan,
-        robots=tuple(RobotPlan(path, legs) for path, legs in zip(run.paths, run.legs, strict=True)),
-        areas_added=run.areas_added,
-        outcome=run.outcome.by_deadline(problem.settings.ends_by_deadline).word,
-        time=run.time,
-        shares=run.shares,
-    )
+    trace, legs, made = nominal_run(problem, plan)
+    return replace(with_run(plan, trace, legs), areas_added=made)
 
 
 def confirm_plan(plan: Plan, world: World, source: str) -> Plan:

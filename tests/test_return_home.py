@@ -314,14 +314,14 @@ def test_an_operator_ends_a_driven_mission_and_a_new_battery_sends_out_again() -
     world = corridor(12, 0.01)
     mission = Mission(world, make_plan(world, [[0, 0]], Settings(return_to="home", range=8)))
     assert "return" not in driven(mission, 5) and set(driven(mission, 4)) == {"return"}
-    assert mission.outcome is None and mission._fleet.robots[0].turned
+    assert mission.outcome is None and 0 in mission._fleet.turned
     mission.report(0, cell=(0, 0), moves_left=24)
     assert set(driven(mission, 4)) == {"hold", "travel"}
     mission.call_off()
     assert set(driven(mission, 3)) == {"return"}
     while mission.outcome is None:
         driven(mission, 1)
-    assert mission.outcome == Outcome.ENDED_BY_OPERATOR and mission._fleet.robots[0].cell == 0
+    assert mission.outcome == Outcome.ENDED_BY_OPERATOR and mission._fleet.cell(0) == 0
 
 
 def test_who_is_cut_off_from_home_goes_on_and_stays_where_it_ends(tmp_path: Any) -> None:
@@ -333,7 +333,7 @@ def test_who_is_cut_off_from_home_goes_on_and_stays_where_it_ends(tmp_path: Any)
     mission = Mission.resume(tmp_path / "now.json", world, make_plan(world, [[0, 0]], Settings(return_to="home")))
     while mission.outcome is None:
         driven(mission, 1)
-    assert mission.outcome == Outcome.COMPLETE and mission._fleet.robots[0].cell == 7
+    assert mission.outcome == Outcome.COMPLETE and mission._fleet.cell(0) == 7
 
 
 def test_worth_counts_the_way_home() -> None:

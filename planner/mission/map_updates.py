@@ -54,11 +54,11 @@ def seen_by(given: Any, fleet: Fleet, reported: Mapping[int, int]) -> Seen:
     Raises:
         StateError: they cannot be true, or robots cannot react to them.
     """
-    if any(robot.status is Doing.FOLLOWING for robot in fleet.robots) or fleet.problem.stay_inside:
+    if (fleet.raw.robots["doing"] == Doing.FOLLOWING).any() or fleet.problem.stay_inside:
         problem = "robots on external paths, or whose legs stay in their area, cannot react to observed cells"
         raise StateError(problem, expected='a plan with areas, and `transit="grid"`')
     world, found = fleet.problem.world, dict[int, float | None]()
-    (height, width), where = world.shape, {robot.cell for robot in fleet.robots if robot.alive} | {*reported.values()}
+    (height, width), where = world.shape, {*fleet.places.values(), *reported.values()}
     if not isinstance(given, list | tuple):
         raise StateError(f"seen is {given!r:.60}", expected=EXPECTED)
     for one in given:
@@ -220,18 +220,18 @@ def closed_by(given: ArrayLike, reports: Reports) -> tuple[NDArray[np.int64], Wo
         raise StateError(f"cells to close are {given!r:.60}", expected="[[row, col], ...]")
     if not ((found >= 0) & (found < (height, width))).all():
         raise StateError("cells to close lie off the map", expected=f"row 0..{height - 1} and col 0..{width - 1}")
-    if not any(robot.alive for robot in fleet.robots):
+    if not fleet.alive.any():
         raise StateError("every robot is lost", expected="a robot that goes on")
     cells = np.unique(found.astype(np.int64) @ (width, 1))
     reported = [(number, report.cell) for number, report in reports.now.items()]
-    for number, cell in sorted({(robot.number, robot.cell) for robot in fleet.robots if robot.alive} | {*reported}):
+    for number, cell in sorted({*fleet.places.items(), *reported}):
         if cell in cells:
             problem = f"robot {number} is at {at(cell, world)}, which is to be closed"
             raise StateError(problem, expected="cells without a robot", fix="close it when the robot has left it")
     without = closed_world(world, cells)
     part = without.components.ravel()
     for number, cell in reported:
-        if part[cell] != part[fleet.robots[number].cell]:
+        if part[cell] != part[fleet.cell(number)]:
             problem = f"closing these cells cuts robot {number} off from {at(cell, world)}"
             raise StateError(problem, expected="cells to close once the step in which it went there is over")
     return cells, without

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -14,14 +15,14 @@ from numpy.typing import NDArray
 from planner.arguments import argument
 from planner.errors import PlanError, names_of_0_3
 from planner.mrac.problem import Problem, ready_loop
-from planner.plan.plan import Area, Plan, RobotPlan, last_move
+from planner.plan.plan import Area, Leg, Plan, RobotPlan, last_move
 from planner.plan.state import MissionState
 from planner.rollout_sampling import check_counters
 from planner.rollouts.loop import NO_COUNTS, ClosedLoop, known_cells, purpose_of
 from planner.rollouts.runners import Runner, on_threads, run_rollouts, singles_of
 from planner.rollouts.tables import ASKED_BEFORE, AllPairs, first_frames, make_policy, make_tables
 from planner.simulator.areas import FRAME_AREA, FRAME_CELL, FRAME_DOING, make_log
-from planner.simulator.codes import NO_AREA, EventKind, Outcome
+from planner.simulator.codes import EventKind, Outcome
 from planner.simulator.jit import LARGE
 from planner.simulator.offers import CellOffer
 from planner.simulator.state import Counts
@@ -206,7 +207,7 @@ def final_odds(loop: ClosedLoop, seed: int, start: int, count: int, *, threads: 
     def work(runner: Runner, first: int, stop: int) -> None:
         for rollout in range(first, stop):
             runner.run_one(rollout)
-            odds[rollout - start] = runner.odds
+            odds[rollout - start] = runner.state.odds
 
     on_threads(loop, seed, start, count, SINGLE_FILE, threads, work)
     return odds
@@ -239,7 +240,7 @@ def logged_rollouts(
                 break
             steps, events = max(steps, last + 1), max(events, happened)
         kept = log.frames[: last + 1], log.events[1 : happened + 1]
-        trace = trace_from(loop, rollout, *kept, runner.area_of, Outcome(int(single[OUTCOME])))
+        trace = trace_from(loop, rollout, *kept, loop.area_of(runner.state), Outcome(int(single[OUTCOME])))
         yield trace, log.legs[: last + 1], runner
 
 
@@ -258,7 +259,7 @@ def trace_from(
         rollout: id.
         frames: int32 `[T, 3, K]`, of `Log`.
         events: int32 `[E, 5]`, of `Log`.
-        area_of: int32 `[A]`, last area of each cell.
+        area_of: int32 `[N]`, last area of each cell.
         outcome: of the rollout.
     """
     happened = events.copy()
@@ -271,7 +272,7 @@ def trace_from(
         doing=frames[:, FRAME_DOING].astype(np.int8),
         areas=frames[:, FRAME_AREA].copy(),
         events=happened,
-        area_of=loop.on_grid(area_of, NO_AREA),
+        area_of=area_of,
         outcome=outcome,
     )
 
@@ -337,11 +338,22 @@ def with_nominal_run(plan: Plan, loop: ClosedLoop) -> Plan:
         loop: its closed loop.
     """
     (trace,) = trace_rollouts(nominal_loop(loop), 0, (0,))
+    return with_run(plan, trace, itertools.repeat(()))
+
+
+def with_run(plan: Plan, trace: Trace, legs: Iterable[tuple[Leg, ...]]) -> Plan:
+    """A plan with this nominal run.
+
+    Args:
+        plan: without paths.
+        trace: of the run.
+        legs: of each robot.
+    """
     paths = [path[: last_move(path) + 1] for path in trace.cells.T.astype(np.int64)]
     return replace(
         plan,
-        robots=tuple(map(RobotPlan, paths)),
+        robots=tuple(map(RobotPlan, paths, legs)),
         outcome=plan.ending(trace.outcome).word,
-        time=len(trace.cells) - 1,
+        time=trace.time,
         shares=int(np.count_nonzero(trace.events[:, 2] == EventKind.SHARED)),
     )

@@ -17,8 +17,9 @@ from planner.plan.state import MissionState
 from planner.policies.rules import Rule
 from planner.rollout_sampling import first_places
 from planner.rollouts.tables import kinds_of, visit_tables, write_mission_state
+from planner.simulator.codes import NO_AREA
 from planner.simulator.policy import Policy
-from planner.simulator.state import DETECTS, TRUTH, State, Tables, first_state
+from planner.simulator.state import AREA_BITS, DETECTS, OUT, TRUTH, State, Tables, first_state
 from planner.tally import Tally, tally_key
 from planner.world.moving_threats import MovingThreats
 from planner.world.uncertain_maps import Uncertain
@@ -182,6 +183,18 @@ class ClosedLoop:
         grid = np.full(self.shape[0] * self.shape[1], other, dtype=values.dtype)
         grid[self.cells] = values
         return grid
+
+    def flagged(self, raw: State, flag: int) -> NDArray[np.bool_]:
+        """bool `[N]`: accessible cells with this flag in the state, VISITED or SURVIVED."""
+        has_it = raw.home[:-1] & flag != 0
+        # While robots learn the map, an unvisited cell in no area has both flags.
+        return self.on_grid(has_it & (raw.known & OUT == 0) if self.learns else has_it)
+
+    def area_of(self, raw: State) -> NDArray[np.int32]:
+        """int32 `[N]`: the area of each cell in the state, the last one of a completed run; NO_AREA if in none."""
+        found = (raw.home[:-1] >> AREA_BITS).astype(np.int32)
+        # In online missions the last number stands for no area.
+        return self.on_grid(np.where(found == len(raw.areas) - 1, NO_AREA, found) if self.learns else found, NO_AREA)
 
     @cached_property
     def _first(self) -> dict[int, State]:

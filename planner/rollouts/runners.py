@@ -23,11 +23,10 @@ from planner.failure_model import own_key, threshold_key
 from planner.rollout_sampling import MEETING_DRAW, MOVE_DRAW, rows_met
 from planner.rollouts.loop import NO_COUNTS, ClosedLoop, typed, with_features
 from planner.simulator.areas import Log, make_log
-from planner.simulator.codes import NO_AREA, NONE
+from planner.simulator.codes import NONE
 from planner.simulator.jit import has_program
 from planner.simulator.rollouts import run_group_tasks
 from planner.simulator.state import (
-    AREA_BITS,
     MOST_PASSES,
     SINGLES,
     Counts,
@@ -317,20 +316,9 @@ class Runner:
         self._make_room(first_room(loop.tables))
 
     @property
-    def area_of(self) -> NDArray[np.int32]:
-        """int32 `[A]`, the last area of each cell, at the end of the last run."""
-        found = (self._state.home[0, :-1] >> AREA_BITS).astype(np.int32)
-        return np.where(found == self._room - 1, NO_AREA, found) if self._loop.learns else found
-
-    @property
     def state(self) -> State:
         """The state at the end of the last run."""
         return State._make(row[0] for row in self._state)
-
-    @property
-    def odds(self) -> NDArray[np.int64]:
-        """int64 `[A]`, log odds of a hazard in each cell at the end of the last run; empty without estimates."""
-        return self._state.odds[0]
 
     @property
     def has_grown(self) -> bool:

@@ -9,17 +9,7 @@ from numpy.typing import NDArray
 
 from .codes import NONE, EventKind
 from .jit import kernel, rare_kernel, search, spliced
-from .paths import (
-    cheapest_cell,
-    cheapest_of,
-    entry_of,
-    open_at,
-    row_from,
-    row_if_asked,
-    seek,
-    set_out,
-    walk_back,
-)
+from .paths import cheapest_cell, cheapest_of, entry_of, open_at, row_from, row_if_asked, seek, set_out, walk_back
 from .range_budget import is_within_range
 from .robot_types import hears, moves_until, own, own_level, own_turn
 from .state import (

@@ -10,17 +10,7 @@ import numpy as np
 
 from .failure_sampling import split_ids, threefry
 from .jit import kernel, rare_kernel
-from .state import (
-    ACTS,
-    DEAD,
-    GROUP_SPLITS,
-    HIT,
-    HITS,
-    ROUTE,
-    ROUTE_LENGTH,
-    STAYS,
-    holds,
-)
+from .state import ACTS, DEAD, GROUP_SPLITS, HIT, HITS, ROUTE, ROUTE_LENGTH, STAYS, holds
 
 
 @kernel

@@ -12,18 +12,7 @@ from .paths import one_cell, row_from, seek, set_out
 from .policy import is_before, is_danger, offer_of, refuses
 from .range_budget import is_within_range, moves_home
 from .robot_types import hears, moves_until, own, own_level
-from .state import (
-    AREA_BITS,
-    FAR,
-    IDLE,
-    ONE,
-    RETURNING,
-    TO_DO,
-    VISITED,
-    WORD,
-    holds,
-    lowest_bit,
-)
+from .state import AREA_BITS, FAR, IDLE, ONE, RETURNING, TO_DO, VISITED, WORD, holds, lowest_bit
 
 
 @kernel
