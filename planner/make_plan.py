@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -169,24 +170,23 @@ def _check_allocation(problem: Problem, allocation: tuple[Area, ...]) -> None:
     check_partition(allocation, as_planned(world, starts), starts, PlanError, world.source)
     owners: set[int] = set()
     for number, area in enumerate(allocation):
-        problem_with = _what_is_wrong(problem, area, owners)
-        if problem_with:
-            raise PlanError(f"area {number} {problem_with[0]}", source=problem.world.source, expected=problem_with[1])
+        for fault, expected in _faults_of(problem, area, owners):
+            raise PlanError(f"area {number} {fault}", source=world.source, expected=expected)
         owners.add(area.robot)
 
 
-def _what_is_wrong(problem: Problem, area: Area, owners: set[int]) -> tuple[str, str] | None:
-    """(problem, expectation) of an area of an allocation, or None; `owners`: robots of earlier areas."""
+def _faults_of(problem: Problem, area: Area, owners: set[int]) -> Iterator[tuple[str, str]]:
+    """Faults of an area of an allocation, with the expectation; `owners`: robots of earlier areas."""
     if (problem.levels.of_cell[area.cells] != area.level).any():
-        return f"has level {area.level}", "the level of all its cells in this world"
+        yield f"has level {area.level}", "the level of all its cells in this world"
     if len(connected_parts(problem.world.shape, area.cells)) != 1:
-        return "is not connected", "4-connected cells"
-    if area.robot != NO_ROBOT:
-        if not 0 <= area.robot < len(problem.starts) or area.robot in owners:
-            return f"is given to robot {area.robot}", "a robot of the team that has no other area"
-        if problem.paths.to_all(int(problem.starts[area.robot]))[area.cells[0]] == UNREACHED:
-            return f"cannot be reached by its robot {area.robot}", "an area in its robot's part of the map"
-    return None
+        yield "is not connected", "4-connected cells"
+    if area.robot == NO_ROBOT:
+        return
+    if not 0 <= area.robot < len(problem.starts) or area.robot in owners:
+        yield f"is given to robot {area.robot}", "a robot of the team that has no other area"
+    if problem.paths.to_all(int(problem.starts[area.robot]))[area.cells[0]] == UNREACHED:
+        yield f"cannot be reached by its robot {area.robot}", "an area in its robot's part of the map"
 
 
 # States prepared for resuming (SPEC section 12).
@@ -202,8 +202,7 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
     Raises:
         StateError: it does not fit the settings.
     """
-    problem.settings.require_no_recharge("the state of a mission")
-    problem.settings.require_uniform("the state of a mission")
+    problem.settings.require_uniform("the state of a mission", "recharge")
     if state.step >= problem.max_steps:
         raise StateError(f"the state is of step {state.step}", expected=f"a step before the last, {problem.max_steps}")
     left = problem.range - [robot.moves for robot in state.robots]

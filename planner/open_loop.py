@@ -323,8 +323,7 @@ def make_open_loop_plan(world: World, starts: ArrayLike, settings: Settings, sec
     """
     closed = replace(settings, plan_for="closed_loop", effort=None)
     world.require_known_map("a plan for the open loop")
-    settings.require_no_return("a plan for the open loop")
-    settings.require_uniform("a plan for the open loop")
+    settings.require_uniform("a plan for the open loop", "return_to")
     nominal = make_plan(world, starts, closed)
     problem = prepare(world, starts, closed)
     nodes = make_nodes(world, problem.levels.accessible.reshape(world.shape))

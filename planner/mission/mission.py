@@ -86,8 +86,7 @@ class Mission:
     def _begin(self, world: World, plan: Plan) -> None:
         # There are no rules yet for reports of robots that differ, or that recharge.
         problem, areas = ready_loop(plan, world)
-        problem.settings.require_no_recharge("a mission that is driven")
-        problem.settings.require_uniform("a mission that is driven")
+        problem.settings.require_uniform("a mission that is driven", "recharge")
         self.world, self._plan = world, plan
         last_update = self._lessons.last_update(problem.levels.accessible)
         self._fleet = Fleet(problem, replace(plan, areas=areas), self.gain, last_update)
@@ -214,18 +213,16 @@ class Mission:
         report can change the orders of others: ask again.
         """
         if self._orders is None:
-            # The step is simulated in a copy, in which robots without a report reach their cells.
-            self._orders = {} if self.outcome is not None else self._play(self._fleet.fork(), True)
+            self._orders = self._simulated(self._reports)
         return self._orders
 
     def first_orders(self) -> dict[int, Order]:
         """The orders of this step before its first report, without cells closed since."""
-        # Reports are set aside for one simulated step, and restored even if that step fails.
-        kept, self._reports = self._reports, Reports(self._fleet)
-        try:
-            return {} if self.outcome is not None else self._play(self._fleet.fork(), True)
-        finally:
-            self._reports = kept
+        return self._simulated(Reports(self._fleet))
+
+    def _simulated(self, reports: Reports) -> dict[int, Order]:
+        """The orders of this step: it is simulated in a copy, in which robots without a report reach their cells."""
+        return {} if self.outcome is not None else self._play(self._fleet.fork(), reports, True)
 
     def report(
         self,
@@ -281,7 +278,7 @@ class Mission:
     def advance(self) -> None:
         """End the step. A robot without report is where it was, or at t = 0 at its start."""
         fleet = self._fleet
-        self._play(fleet, False)
+        self._play(fleet, self._reports, False)
         # Announced phases and estimates first: a reported value replaces them.
         held, reported = fleet.places.values(), self._reports.seen
         told = self._lessons.at_end(fleet.step, self.world, held) | reported
@@ -325,16 +322,16 @@ class Mission:
             if robot not in self._reports.now and (begins or self._index(order.cell) != fleet.cell(robot))
         )
 
-    def _play(self, fleet: Fleet, ahead: bool) -> dict[int, Order]:
+    def _play(self, fleet: Fleet, reports: Reports, ahead: bool) -> dict[int, Order]:
         """Play the step in `fleet` up to its end; its orders. `ahead`: robots without report reach their cells."""
         orders: dict[int, Order] = {}
         fleet.begin_step()
-        for number, cell in self._reports.passed:
+        for number, cell in reports.passed:
             fleet.visit(number, cell)
             if not ahead:
                 self._lessons.learn(cell, stopped=False)
         for number in range(self.robots):
-            report = self._reports.now.get(number)
+            report = reports.now.get(number)
             if report is not None and report.found and not fleet.alive[number]:
                 fleet.find(number)
             # A robot set aside for lack of progress gets work again once it moves or is recharged.

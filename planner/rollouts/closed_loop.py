@@ -182,19 +182,17 @@ def new_cells(
 
     They are the rollouts of `run_range`, run one at a time by the same compiled program, with the same arguments.
     """
-    curves: dict[int, NDArray[np.int64]] = {}
+    known = len(known_cells(loop)[0])
 
-    def work(runner: Runner, first: int, stop: int) -> None:
-        for rollout in range(first, stop):
-            single = runner.run_one(rollout)
-            curves[rollout] = runner.counts.new[: int(single[TIME]) + 1].copy()
-            # Cells covered before a resumed mission's state count in step 0, as in `tally_from`.
-            curves[rollout][0] += len(known_cells(loop)[0])
-            # A runner's counts add up: what this rollout has added is taken out again.
-            runner.counts.new[: int(single[TIME]) + 1] = 0
+    def curve(runner: Runner, numbers: NDArray[np.int32]) -> NDArray[np.int64]:
+        new = runner.counts.new[: int(numbers[TIME]) + 1]
+        found = new.copy()
+        # Cells covered before a resumed mission's state count in step 0, as in `tally_from`.
+        found[0] += known
+        new[:] = 0  # a runner's counts add up: what this rollout has added is taken out again
+        return found
 
-    on_threads(loop, seed, start, count, SINGLE_FILE, threads, work)
-    return [curves[rollout] for rollout in range(start, start + count)]
+    return _one_by_one(loop, seed, range(start, start + count), threads, curve)
 
 
 def final_odds(loop: ClosedLoop, seed: int, start: int, count: int, *, threads: int | None = None) -> NDArray[np.int64]:
@@ -202,15 +200,23 @@ def final_odds(loop: ClosedLoop, seed: int, start: int, count: int, *, threads: 
 
     They are the rollouts of `run_range`, of an online mission with estimated hazards.
     """
-    odds = np.empty((count, len(loop.tables.odds)), dtype=np.int64)
+    ids = range(start, start + count)
+    odds = _one_by_one(loop, seed, ids, threads, lambda runner, _: runner.state.odds.copy())
+    return np.array(odds, dtype=np.int64).reshape(count, len(loop.tables.odds))
+
+
+def _one_by_one(
+    loop: ClosedLoop, seed: int, ids: range, threads: int | None, read: Callable[[Runner, NDArray[np.int32]], NDArray]
+) -> list[NDArray]:
+    """`read(runner, numbers)` after each of these rollouts, in order."""
+    found: dict[int, NDArray] = {}
 
     def work(runner: Runner, first: int, stop: int) -> None:
         for rollout in range(first, stop):
-            runner.run_one(rollout)
-            odds[rollout - start] = runner.state.odds
+            found[rollout] = read(runner, runner.run_one(rollout))
 
-    on_threads(loop, seed, start, count, SINGLE_FILE, threads, work)
-    return odds
+    on_threads(loop, seed, ids.start, len(ids), SINGLE_FILE, threads, work)
+    return [found[rollout] for rollout in ids]
 
 
 def trace_rollouts(loop: ClosedLoop, seed: int, ids: Iterable[int]) -> list[Trace]:

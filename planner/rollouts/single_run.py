@@ -467,8 +467,7 @@ def state_of(run: SingleRun, problem: Problem, cumulative_hazard: Sequence[int] 
             robot may exceed every threshold that can be drawn: then the largest possible value is kept.
     """
     world, settings, loop = problem.world, problem.settings, run.loop
-    settings.require_no_recharge("the state of a mission")
-    settings.require_uniform("the state of a mission")
+    settings.require_uniform("the state of a mission", "recharge")
     known, home, cells = None, problem.home, loop.cells
     if cumulative_hazard is not None and settings.weibull_shape != 1:
         known = np.minimum(cumulative_hazard, settings.failure_model().most(loop.robots)).tolist()

@@ -20,7 +20,7 @@ from planner.plan.state import ON_ITS_WAY, MissionState, RobotState
 from planner.policies import RULES
 from planner.policies.rules import Rule, most_at_risk
 from planner.rollout_sampling import chance_bound
-from planner.simulator.codes import NO_CELL, Outcome
+from planner.simulator.codes import NO_CELL, Doing, Outcome
 from planner.simulator.jit import UNCOUNTED
 from planner.simulator.offers import NO_REFUSAL, Offer
 from planner.simulator.paths import all_pairs, to_areas
@@ -28,18 +28,12 @@ from planner.simulator.policy import Policy
 from planner.simulator.searches import BY_INDEX, UNREACHED, SafestPaths, find_safe_parts, neighbour_table
 from planner.simulator.state import (
     AREA_BITS,
-    COVERING,
-    DEAD,
-    DONE,
-    IDLE,
     MOST_CELLS,
     NO_LEVEL,
     OUT,
     RANKED,
-    RETURNING,
     SURVIVED,
     TO_DO,
-    TRAVELING,
     VISITED,
     WORD,
     State,
@@ -385,8 +379,7 @@ def _ranked(
 
 # A resumed mission as the compiled simulator's first state (`planner.plan.state`). Plain Python, once per thread.
 
-DOINGS = {"idle": IDLE, "traveling": TRAVELING, "covering": COVERING, "done": DONE, "dead": DEAD}
-DOINGS |= {"returning": RETURNING}
+DOINGS = {doing.name.lower(): int(doing) for doing in Doing}
 
 
 def write_mission_state(mission: MissionState, state: State, tables: Tables, cells: NDArray[np.int64]) -> None:
