@@ -79,6 +79,7 @@ class PlannerOptions(TypedDict, total=False):
     weibull_shape: float | None
     hazard_multiplier: float | Sequence[float] | None
     return_to: ReturnTo
+    deliver_every: int | None
     recharge: int | None
     types: str | Sequence[str] | None
     steps_per_move: int | Sequence[int] | None
@@ -138,15 +139,29 @@ class OnePlanOptions(RolledOptions, total=False):
     seconds: float | None
 
 
-class FrontOptions(PlannerOptions, RolledOptions, total=False):
+class MetricOptions(TypedDict, total=False):
+    """The coverage that teams are compared by."""
+
+    metric: Literal["visited", "survived", "delivered"]
+
+
+class CompareOptions(OnePlanOptions, MetricOptions, total=False):
+    """Options of `compare`."""
+
+
+class FrontOptions(PlannerOptions, RolledOptions, MetricOptions, total=False):
     """Options of `front`, which varies the policy."""
 
 
 class SearchOptions(PolicyOptions, RolledOptions, total=False):
-    """Options of `starts` and `threats`."""
+    """Options of `threats`."""
 
 
-class SizeOptions(LoopOptions, RolledOptions, total=False):
+class StartsOptions(SearchOptions, MetricOptions, total=False):
+    """Options of `starts`."""
+
+
+class SizeOptions(LoopOptions, RolledOptions, MetricOptions, total=False):
     """Options of `size`, which also plans for the open loop."""
 
 
@@ -246,7 +261,7 @@ def _rollouts(options: Mapping[str, Any], **how: Any) -> RolloutChoices:
     """The rollouts among the options; `how` replaces some. Raises UsageError."""
     from analysis.sampling import RolloutChoices
 
-    given = {name: options[name] for name in ("seed", "engine", "deadline", "exact") if name in options}
+    given = {name: options[name] for name in ("seed", "engine", "deadline", "exact", "metric") if name in options}
     return RolloutChoices(first_only=_first_only(options), **{**given, **how})
 
 
@@ -813,14 +828,14 @@ def _rest(world: World, state: MissionState | str | Path) -> Plan:
     return plan(world, state=state)
 
 
-@takes(OnePlanOptions, deadline=REPORTED)
+@takes(CompareOptions, deadline=REPORTED)
 def compare(
     a: tuple[World, PlanSource],
     b: tuple[World, PlanSource],
     *,
     loop_b: Loop | None = None,
     threat_checks_b: ThreatChecks | None = None,
-    **options: Unpack[OnePlanOptions],
+    **options: Unpack[CompareOptions],
 ) -> Comparison:
     """Difference between two plans, settings, teams or maps, on common random numbers.
 
@@ -1004,7 +1019,6 @@ def size(
     target: float | None = None,
     confidence: float | None = None,
     complete: bool = False,
-    meaning: Literal["visited", "survived"] = "visited",
     most: int | None = None,
     starts: ArrayLike | None = None,
     loop: Loop | None = None,
@@ -1021,7 +1035,6 @@ def size(
         target: Fraction of the accessible cells to cover, above 0, at most 1.
         confidence: Required chance of covering the target (default: expected coverage decides; with `complete`: 0.95).
         complete: Cover every accessible cell: `target` 1 with a confidence.
-        meaning: A cell counts when a robot enters it (visited) or leaves it alive (survived) (default: visited).
         most: Largest team to evaluate (default: 64; at most the number of starts).
         starts: `[[row, col], ...]`, of which a team takes the first; default: the world's own, else its start rule.
         loop: closed: survivors take over the work of lost robots (default); open: fixed paths.
@@ -1033,7 +1046,7 @@ def size(
     from planner.world.world import check_starts
 
     settings = _settings(world, options)
-    goal = make_goal(target, confidence, complete, meaning, most)
+    goal = make_goal(target, confidence, complete, options["metric"], most)
     amount = how_much(rollouts, precision, None, usual=100_000) | {"seconds": None}
     loop = loop or ("open" if settings.plan_for == "open_loop" else "closed")
     choices = _rollouts(options, loop=loop, **amount)
@@ -1081,7 +1094,7 @@ def front(
     return _found(partial(find_front, world, placed, settings, choices, goal=goal, ladders=ladders), options)
 
 
-@takes(SearchOptions)
+@takes(StartsOptions)
 def starts(
     world: World,
     robots: int | None = None,
@@ -1089,7 +1102,7 @@ def starts(
     depot: bool = False,
     candidates: ArrayLike | str | Path = "border",
     rollouts: int = 4096,
-    **options: Unpack[SearchOptions],
+    **options: Unpack[StartsOptions],
 ) -> Starts:
     """The best start cells: one for each robot, or one for all.
 

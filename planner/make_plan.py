@@ -202,7 +202,7 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
     Raises:
         StateError: it does not fit the settings.
     """
-    problem.settings.require_uniform("the state of a mission", "recharge")
+    problem.settings.require_uniform("the state of a mission", "recharge", "deliver_every")
     if state.step >= problem.max_steps:
         raise StateError(f"the state is of step {state.step}", expected=f"a step before the last, {problem.max_steps}")
     left = problem.range - [robot.moves for robot in state.robots]

@@ -41,7 +41,7 @@ POLICY = ("policy", "risk_cap", "robot_value", "priority")
 """A policy and its limits."""
 BEARING = ("weibull_shape", "hazard_multiplier")
 """Settings of the failure model. No decision depends on them."""
-KEPT = ("range", "deadline", "return_to", "recharge", "steps_per_move", "radio")
+KEPT = ("range", "deadline", "return_to", "deliver_every", "recharge", "steps_per_move", "radio")
 """Limits of the robots under every policy."""
 GROUPS = {"policy": POLICY, "plan_for": ("plan_for", "effort")}
 """Settings with dependent ones: a new choice of the first discards the input's values of the others."""
@@ -168,6 +168,7 @@ class Settings:
         hazard_multiplier: factor of the exposure, one number for all or one a robot. No decision depends on these two.
         return_to: bases that robots return to (SPEC section 19): "home", their own starts; "nearest", the nearest
             start; or cells, a tuple of (row, col); None = robots stay at their last cell.
+        deliver_every: cells carried with which a robot returns to a base and goes on; None = only at the end.
         recharge: steps at a base that restore the range of a robot; None = never restored.
         types: robot types (SPEC section 22), one for all or one a robot, named in the world's matrix; None = the map's
             p applies to every robot.
@@ -244,6 +245,10 @@ class Settings:
     return_to: str | tuple[tuple[int, int], ...] | None = _setting(
         None, "return to", 'Return to: home (the own start), nearest (any start) or bases "row,col;row,col;...".',
         words=("home", "nearest"), unset="nowhere", places=True, later=True, rare=False,
+    )  # fmt: skip
+    deliver_every: int | None = _setting(
+        None, "deliver every", "Return to the base, and go on, with this many cells to deliver (default: never).",
+        whole(1, MAX_STEP), unset="never", later=True,
     )  # fmt: skip
     recharge: int | None = _setting(
         None, "recharge", "Steps at a base that restore the range, with --range and --return-to (default: never).",
@@ -370,6 +375,9 @@ class Settings:
             problem = f"{message('effort', str(self.effort))} with {called('plan_for')} {self.plan_for}"
             expected, fix = f"{called('plan_for')} open_loop", f"leave {called('effort')} out"
             raise PlanError(problem, source=source, expected=expected, fix=fix)
+        if self.deliver_every is not None and self.return_to is None:
+            problem = f"{message('deliver_every', str(self.deliver_every))} without {called('return_to')}"
+            raise PlanError(problem, source=source, fix=f"give it, or leave {called('deliver_every')} out")
         if self.recharge is not None and None in (self.range, self.return_to):
             problem = f"{message('recharge', str(self.recharge))} without {called('range')} and {called('return_to')}"
             raise PlanError(problem, source=source, fix=f"give both, or leave {called('recharge')} out")
@@ -406,6 +414,7 @@ def _defaults() -> dict[str, Any]:
 
 SETTINGS: dict[str, Setting] = {item.name: item.metadata["setting"] for item in fields(Settings) if item.metadata}
 LOOP_WORDS = ("closed", "open")
+METRICS = ("visited", "survived", "delivered")
 TEAM, GOAL, ROLLOUTS, SURVEY, TIMELINE, OUTPUT = "Team", "Goal", "Rollouts", "Many maps", "Timeline", "Output"
 """Groups of options, in addition to "Planning"."""
 
@@ -446,6 +455,8 @@ OPTIONS: dict[str, Setting] = SETTINGS | dict([
     _option(ROLLOUTS, "seconds", "Stop after this many seconds of rollouts (default: 10; none with --rollouts or "
             "--precision).", numbers=POSITIVE, rare=True),
     _option(GOAL, "target", "Fraction of the accessible cells to cover, above 0, at most 1."),
+    _option(GOAL, "metric", "Cells that count: visited (default), survived (left alive) or delivered (brought to a "
+            "base, with --return-to).", words=METRICS, default="visited"),
     _option(SURVEY, "processes", "Number of processes; results do not depend on it (default: one per core).",
             numbers=whole(1)),
     _option(SURVEY, "scheduler", "A dask.distributed scheduler, tls://host:8786 or tcp://host:8786.", "text"),

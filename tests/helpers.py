@@ -29,6 +29,7 @@ from planner.rollouts.names import EngineName
 from planner.rollouts.open_loop import CompiledPlan
 from planner.rollouts.single_run import PythonLoop, SingleRun
 from planner.rollouts.threshold_classes import sums_by_threshold
+from planner.simulator.codes import Doing
 from planner.simulator.thresholds import threefry2x32
 from planner.tally import RolloutResults, Tally, Trace
 from planner.world.world import World
@@ -181,8 +182,19 @@ def play_both_ways(
         for name in ("visited", "survived"):
             counts = np.sum([getattr(run, name) for run in runs], axis=0)
             np.testing.assert_array_equal(getattr(tally, f"covered_{name}").ravel(), counts, f"{world.source}: {name}")
+        if loop.comes_home and plan.state is None:
+            assert singles.delivered.tolist() == [len(delivered(run.trace, plan.bases)) for run in runs], world.source
         assert tally.stops.sum() == sum(int((~run.alive).sum()) for run in runs)
     return runs
+
+
+def delivered(trace: Trace, bases: Sequence[set[int]], last: int | None = None) -> set[int]:
+    """The cells that a robot visited and brought to one of its bases, by the end of step `last`."""
+    found = set[int]()
+    for cells, doing, own in zip(trace.cells[:last].T.tolist(), trace.doing[:last].T, bases, strict=bool(bases)):
+        at_base = [step for step, cell in enumerate(cells) if cell in own and doing[step] != Doing.DEAD]
+        found |= set(cells[: max(at_base, default=-1) + 1])
+    return found
 
 
 def assert_same_tally(mine: Tally, other: Tally, what: str = "") -> None:

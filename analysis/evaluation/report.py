@@ -73,7 +73,11 @@ def return_text(evaluation: Evaluation) -> str:
     if home is None:
         return ""
     mean = robots_text(home.mean, home.robots, min(home.digits(), 2))
-    return f"{mean} back at base on average; all in {home.at_least[-1].share} of runs."
+    got = evaluation.delivered
+    brought = (
+        "" if got is None else f" {without_level(got.describe(100.0, ' %'))} of the accessible cells are delivered."
+    )
+    return f"{mean} back at base on average; all in {home.at_least[-1].share} of runs.{brought}"
 
 
 def completion_text(evaluation: Evaluation) -> str:
@@ -314,7 +318,7 @@ def _bounds_json(evaluation: Evaluation) -> Json:
 def _open_json(exact: OpenLoopExact) -> Json:
     """The open loop's expected values, for either evaluated loop; NaN if not known."""
     return {
-        **pick(exact, "visited survived"),
+        **pick(exact, "visited survived delivered"),
         "alive": float(exact.survival.sum()),
         "losses": exact.expected_losses,
         "time": exact.mean_time,

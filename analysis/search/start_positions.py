@@ -51,7 +51,7 @@ class Place:
         screen: policy-independent upper bound of the expected cells visited (or of their value), `sum_c g_c` of
             `reach_chances`.
         one_robot: eq. (4): expected cells (or value) visited by one robot alone; None: not planned.
-        coverage: visited by the team, a fraction of the accessible cells; None: not simulated.
+        coverage: by the team, in the metric of the choices, a fraction of the accessible cells; None: not simulated.
         value: visited, a fraction of the value of all free cells; None: the map has no values.
         losses: robots lost. rollouts: number of rollouts of the estimates.
         behind: interval of the best place's lead in coverage (or value); the intervals of one search are simultaneous
@@ -114,6 +114,8 @@ class Starts(Searched):
     @property
     def covered(self) -> str:
         """The quantity of the figures, for sentences."""
+        if self.choices.metric != "visited":
+            return self.choices.metric
         return "covered" if self.world.value is None else "of the value covered"
 
     @property
@@ -536,7 +538,7 @@ class _Field(Search):
         """The place with its estimates."""
         return replace(
             place,
-            coverage=found.mean("visited", 1.0 / self.cells),
+            coverage=found.mean(found.metric, 1.0 / self.cells),
             value=found.mean("value") if found.counted == "value" else None,
             losses=found.mean("lost"),
             rollouts=found.rollouts,

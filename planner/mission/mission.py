@@ -86,7 +86,7 @@ class Mission:
     def _begin(self, world: World, plan: Plan) -> None:
         # There are no rules yet for reports of robots that differ, or that recharge.
         problem, areas = ready_loop(plan, world)
-        problem.settings.require_uniform("a mission that is driven", "recharge")
+        problem.settings.require_uniform("a mission that is driven", "recharge", "deliver_every")
         self.world, self._plan = world, plan
         last_update = self._lessons.last_update(problem.levels.accessible)
         self._fleet = Fleet(problem, replace(plan, areas=areas), self.gain, last_update)

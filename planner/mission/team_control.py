@@ -171,7 +171,7 @@ class Fleet(SingleRun):
 
     def survive(self, number: int) -> None:
         """The robot has survived the cell that it has just entered."""
-        interpreted("visits").survive(self.s, self.c, self.s.robots[number].cell)
+        interpreted("visits").survive(self.t, self.s, self.c, number, self.s.robots[number].cell)
         self._arrive(number)
 
     def _arrive(self, number: int) -> None:
@@ -209,7 +209,7 @@ class Fleet(SingleRun):
     def go_on(self, number: int) -> None:
         """A displaced robot, or one at the end of its range, has survived: it continues from its cell."""
         t, p, s, w, log, how, me = self.t, self.p, self.s, self.w, self.log, self.how, self.s.robots[number]
-        interpreted("visits").survive(s, self.c, me.cell)
+        interpreted("visits").survive(t, s, self.c, number, me.cell)
         if t.returns and me.doing == Doing.RETURNING:
             interpreted("return_home").move_to_base(t, s, log, number)
         elif self.moves_left(number) == 0:
@@ -356,6 +356,9 @@ class Fleet(SingleRun):
                 s.home[at] = int(s.home[at]) & ~TO_DO
         elif s.home[at] & SURVIVED == 0:
             interpreted("visits").mark_survived(s, self.c, at)
+        if len(s.carried):
+            interpreted("state").put(s.carried[number], at)
+            interpreted("visits").deliver(self.t, s, number, at)
 
     def find(self, number: int) -> None:
         """A lost robot is back."""

@@ -184,13 +184,17 @@ class Plan:
 
     def ends_home(self, step: int | None = None) -> bool:
         """True if all robots end at base in a run without losses, truncated at `step` if given."""
-        if self.settings is None or self.settings.return_to is None:
-            return False
-        to, starts = self.settings.return_to, [int(robot.path[0]) for robot in self.robots]
-        bases = starts if isinstance(to, str) else [row * self.shape[1] + col for row, col in to]
-        own = ({start} if to == "home" else set(bases) for start in starts)
         ends = [robot.path[-1 if step is None else min(step, len(robot.path) - 1)] for robot in self.robots]
-        return all(int(cell) in at for cell, at in zip(ends, own, strict=True))
+        return self.comes_home and all(int(cell) in own for cell, own in zip(ends, self.bases, strict=True))
+
+    @property
+    def bases(self) -> list[set[int]]:
+        """The base cells of each robot; empty if robots do not return."""
+        if self.settings is None or (to := self.settings.return_to) is None:
+            return []
+        starts = [int(robot.path[0]) for robot in self.robots]
+        bases = starts if isinstance(to, str) else [row * self.shape[1] + col for row, col in to]
+        return [{start} if to == "home" else set(bases) for start in starts]
 
     @property
     def makespan(self) -> int:

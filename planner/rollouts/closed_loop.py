@@ -25,7 +25,7 @@ from planner.simulator.areas import FRAME_AREA, FRAME_CELL, FRAME_DOING, make_lo
 from planner.simulator.codes import EventKind, Outcome
 from planner.simulator.jit import LARGE
 from planner.simulator.offers import CellOffer
-from planner.simulator.state import Counts
+from planner.simulator.state import SINGLES, Counts
 from planner.tally import RolloutResults, Tally, Trace, tally_key
 from planner.world.planned_map import BEFORE, rules_of
 from planner.world.uncertain_maps import Hazard, Uncertain
@@ -35,8 +35,10 @@ MOST_TABLED = 10_000
 """Most accessible cells with all-pairs tables (0.6 GB); on larger maps distances are searched for on demand."""
 SINGLE_FILE = 64
 """Rollouts that a thread takes at a time if it runs them one by one."""
-TIME, OUTCOME = 2, 4
-"""Columns of `Singles.numbers`."""
+OF_SINGLES = ("visited", "survived", "time", "alive", "outcome", "bisected", "divided", "home", "delivered")
+"""Columns of `Singles.numbers`, as fields of `RolloutResults`."""
+OF_WORTH = "worth_covered", "worth_found"
+TIME, OUTCOME = map(OF_SINGLES.index, ("time", "outcome"))
 
 
 def compile_closed_loop(
@@ -159,7 +161,7 @@ def run_range(
     tally = tally_from(loop, seed, start, count, run_rollouts(loop, seed, start, count, threads, kept))
     if not singles:
         return tally, None
-    return tally, results_from(start, kept.numbers, kept.worth)
+    return tally, results_from(start, kept.numbers[:, : SINGLES - (not loop.delivers)], kept.worth)
 
 
 def results_from(start: int, numbers: NDArray[np.int32], worth: NDArray[np.int64]) -> RolloutResults:
@@ -167,12 +169,11 @@ def results_from(start: int, numbers: NDArray[np.int32], worth: NDArray[np.int64
 
     Args:
         start: first id.
-        numbers: int32 `[B, SINGLES]`, as in `planner.simulator.state.Singles`, or without the column of robots at base.
+        numbers: int32 `[B, SINGLES]`, as in `planner.simulator.state.Singles`, or without its last columns.
         worth: int64 `[B, 2]` or without rows, sums of values.
     """
-    visited, survived, times, alive, outcome, bisected, divided, *home = numbers.T
-    rest = bisected, divided, *(home or [NO_COUNTS.astype(np.int32)]), *worth.T
-    return RolloutResults(start, visited, survived, times, alive, outcome.astype(np.int8), *rest)
+    columns = dict(zip(OF_SINGLES, numbers.T, strict=False)) | dict(zip(OF_WORTH, worth.T, strict=False))
+    return RolloutResults(start, **columns | {"outcome": columns["outcome"].astype(np.int8)})
 
 
 def new_cells(
@@ -308,6 +309,7 @@ def tally_from(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[
         time=counts.time[:last],
         alive=counts.alive,
         home=counts.home,
+        delivered=counts.delivered,
         outcomes=counts.outcomes,
         new_visited=counts.new[:last],
         new_survived=counts.new[:last] + counts.late[:last],

@@ -146,6 +146,11 @@ class ClosedLoop:
         return len(self.tables.home_cost) > 0
 
     @property
+    def delivers(self) -> bool:
+        """True if cells delivered are counted: robots return to base, and a resumed mission knows what they carry."""
+        return self.comes_home and (self.state is None or self.state.delivered is not None)
+
+    @property
     def runs_alone(self) -> bool:
         """True if each rollout is a separate group: no two have the same detector readings."""
         return bool(self.tables.lessons[DETECTS:].any())
@@ -204,6 +209,7 @@ class ClosedLoop:
         """The state that every group begins with, made once for each `room` (areas); one level for each true map."""
         if room not in self._first:
             first = first_state(self.tables, room, self.weights is not None)
+            first = first._replace(carried=first.carried[: len(first.carried) * self.delivers])
             if self.state is not None:
                 write_mission_state(self.state, first, self.tables, self.cells)
             levels = 1 if self.uncertainty is None else len(self.tables.truths)

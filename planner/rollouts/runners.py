@@ -411,7 +411,7 @@ class Runner:
         passes = self._loop.weights is not None
         loop = self._loop
         sizes = len(loop.cells), loop.accessible, loop.robots, loop.max_steps
-        self.counts = make_counts(*sizes, passes, loop.comes_home, bool(loop.tables.scores))
+        self.counts = make_counts(*sizes, passes, loop.comes_home, bool(loop.tables.scores), loop.delivers)
 
     def _call(
         self, waiting: State, tasks: Tasks, stack: State, log: Log, how: How, ids: NDArray[np.uint32], singles: Singles

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from planner.mrac.problem import Problem, ready_loop
 from planner.plan.plan import Area, Leg, Plan
-from planner.plan.state import AreaState, MissionState, RobotState
+from planner.plan.state import NO_CELLS, AreaState, MissionState, RobotState
 from planner.rollout_sampling import rows_met
 from planner.rollouts.closed_loop import compile_closed_loop, logged_rollouts, trace_from
 from planner.rollouts.loop import ClosedLoop
@@ -467,8 +467,8 @@ def state_of(run: SingleRun, problem: Problem, cumulative_hazard: Sequence[int] 
             robot may exceed every threshold that can be drawn: then the largest possible value is kept.
     """
     world, settings, loop = problem.world, problem.settings, run.loop
-    settings.require_uniform("the state of a mission", "recharge")
-    known, home, cells = None, problem.home, loop.cells
+    settings.require_uniform("the state of a mission", "recharge", "deliver_every")
+    known, home, cells, delivers = None, problem.home, loop.cells, loop.delivers
     if cumulative_hazard is not None and settings.weibull_shape != 1:
         known = np.minimum(cumulative_hazard, settings.failure_model().most(loop.robots)).tolist()
     area_of, (places, doing, area), areas = run.area_of, run.frame().tolist(), list[AreaState]()
@@ -497,6 +497,7 @@ def state_of(run: SingleRun, problem: Problem, cumulative_hazard: Sequence[int] 
             exposure=None if known is None else known[robot],
             home=None if home is None else int(home.starts[robot]),
             turned=robot in run.turned,
+            carried=cells[_members(run.raw.carried[robot], len(cells))] if delivers else NO_CELLS,
         )
         for robot in range(loop.robots)
     )
@@ -513,7 +514,13 @@ def state_of(run: SingleRun, problem: Problem, cumulative_hazard: Sequence[int] 
         tuple(areas),
         0 if over else quiet,
         Outcome(over - 1).word if over else None,
+        cells[_members(run.raw.carried[-1], len(cells))] if delivers else None,
     )
+
+
+def _members(bits: NDArray[np.uint64], count: int) -> NDArray[np.bool_]:
+    """bool `[count]`: whether each number is in the set."""
+    return np.unpackbits(bits.view(np.uint8), bitorder="little")[:count].astype(np.bool_)
 
 
 class PythonLoop:

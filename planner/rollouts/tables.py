@@ -156,7 +156,8 @@ def make_tables(
     if problem.own is not None:
         tables = tables._replace(type_of=problem.own.of, own_level=problem.own.level)
     if problem.home is not None:
-        tables = tables._replace(last_step=problem.home.last, recharge=problem.settings.recharge or 0)
+        again: dict[str, Any] = {name: getattr(problem.settings, name) or 0 for name in ("recharge", "deliver_every")}
+        tables = tables._replace(last_step=problem.home.last, **again)
     if unknown is not None:  # a search passes all that is near enough to matter: nothing is far
         goal, learning = int(unknown.accessible.sum()), _learning(unknown, problem.entry, cells, compact, narrow)
         tables = tables._replace(nearby=len(cells), goal=goal, last_update=unknown.last_update, **learning)
@@ -398,6 +399,13 @@ def write_mission_state(mission: MissionState, state: State, tables: Tables, cel
     state.home[survived] |= SURVIVED
     if len(state.passes):
         state.passes[survived] = 1  # the number of earlier visits is not known
+    # A mission that knows what is delivered; cells closed since are no longer counted.
+    if mission.delivered is not None:
+        for row, kept in zip(
+            state.carried, (*(one.carried for one in mission.robots), mission.delivered), strict=False
+        ):
+            fill(row, np.searchsorted(cells, np.intersect1d(kept, mission.visited)))
+        state.marks["delivered"] = np.bitwise_count(state.carried[-1:]).sum()
     left = np.bincount(state.home[:-1][state.home[:-1] & VISITED == 0] >> AREA_BITS, minlength=len(mission.areas))
     state.areas["left"][: len(left)] = left
     unassigned = [number for number, area in enumerate(mission.areas) if area.state == "unassigned"]

@@ -150,9 +150,10 @@ class Tables(NamedTuple):
             `kind_begin` `[C]` counts the cells of the kinds before it; both int64. All empty where there are tables.
         nearby: cells that a search passes before the long-range search takes over. wide: as in `SafeParts`. patience:
             searches from a cell before its costs to all cells are kept. goal: cells that count. last_step: step by
-            which robots that return to base have to be there. recharge: steps of a recharge, 0: none. quiet_steps:
-            steps in a row without progress after which a run ends, unless a phase is announced for later. last_update:
-            the step of the last announced phase, 0: none.
+            which robots that return to base have to be there. recharge: steps of a recharge, 0: none. deliver_every:
+            cells to deliver with which a robot returns and goes on, 0: none. quiet_steps: steps in a row without
+            progress after which a run ends, unless a phase is announced for later. last_update: the step of the last
+            announced phase, 0: none.
         truths: int16 `[M, A]`, level of each cell in each candidate of the true map, NONE for an obstacle; of online
             missions. belief: int16 `[A]`, the prior map. price: int64 `[L]`, cost of entering a cell of each level.
             in_view: like near, the cells within sensor range of each cell, from `view_begin` int64 `[A + 1]` on
@@ -266,6 +267,7 @@ class Tables(NamedTuple):
     goal: int = 0
     last_step: int = 0
     recharge: int = 0
+    deliver_every: int = 0
     quiet_steps: int = 0
     last_update: int = 0
     follows: bool | None = None
@@ -379,6 +381,7 @@ GROUP = np.dtype(
             "roamed",  # steps in which threats have moved
             "over",  # 0, or the outcome plus 1 once all robots return to base
             "at_home",  # robots at base at the end
+            "delivered",  # cells delivered
             "now",  # 1 while a robot decides that moves in the same step
             "unlimited",  # 1 while areas out of a robot's range may be chosen
         )
@@ -418,6 +421,8 @@ class State(NamedTuple):
         near, entry, level: like `Tables.near`, `entry` and `truths[m]`, as the team's map has them. known: uint8 `[A]`,
             flags: SEEN by a sensor, LOOKED from, OUT of every area and not visited. fate: like home `[room]`, scratch.
             mind: int64 `[MIND]`. All empty for a known map. odds: like `Tables.odds`, updated.
+        carried: uint64 `[K + 1, A / 64]`, bits of the cells that each robot has visited since it was last at a base;
+            the last row: cells delivered. Without rows where robots do not return, or a resumed mission does not know.
     """
 
     home: NDArray
@@ -441,6 +446,7 @@ class State(NamedTuple):
     fate: NDArray
     mind: NDArray
     odds: NDArray
+    carried: NDArray
 
 
 class Work(NamedTuple):
@@ -522,6 +528,7 @@ class Counts(NamedTuple):
         left_visited, left_survived, left_alive: like these, the mass of a tree's branches that were left.
         histories: `[3]`, ends of a tree, branches left, visits at which it may split. Zeros unless for trees.
         home: `[K + 1]`, rollouts by robots at base at the end; empty where robots do not return.
+        delivered, left_delivered: like visited, by cells delivered; empty where these are not counted.
         passes: `[A, MOST_PASSES]`, rollouts with at least 1, 2, ... survived visits of the cell; no rows: not counted.
             With `Tables.scores`: float64 `[A, 2]`, sums over rollouts of the cells covered times the robots lost in the
             cell, and times its survived visits. For rollouts they are integers, exact below 2**53.
@@ -543,6 +550,8 @@ class Counts(NamedTuple):
     left_alive: NDArray
     histories: NDArray
     home: NDArray
+    delivered: NDArray
+    left_delivered: NDArray
     passes: NDArray
 
 
@@ -567,15 +576,16 @@ REMEMBERED, MOST_PATHS = 2**24, 2**16
 """Most words of `Work.paths`, 64 MB, and most paths that 16 bits can number; a map gets 256 to 512 words for each cell.
 Thousands of words filled: 113 by 4,096 rollouts of the terrain, 98 by 16,384 on 64x64 with 25 % of threats, 168 by
 262,144 on 20x20."""
-SINGLES = 8
-"""Numbers kept of a single rollout: visited, survived, time, alive, outcome, bisected, divided, at home."""
+SINGLES = 9
+"""Numbers kept of a single rollout: visited, survived, time, alive, outcome, bisected, divided, at home, delivered."""
 ROWS_BYTES = 2**28
 """Approximate limit on the rows of costs of one thread; there are always two."""
 
 
 def make_counts(
-    cells: int, goal: int, robots: int, steps: int, passes: bool = False, home: bool = False, scores: bool = False
-) -> Counts:
+    cells: int, goal: int, robots: int, steps: int, passes: bool = False, home: bool = False, scores: bool = False,
+    delivers: bool = False,
+) -> Counts:  # fmt: skip
     """Empty counts.
 
     Args:
@@ -586,9 +596,11 @@ def make_counts(
         passes: whether survived visits are counted.
         home: whether robots at base are.
         scores: whether the sums of `Tables.scores` are.
+        delivers: whether cells delivered are.
     """
     figures = (goal + 1, goal + 1, robots + 1)
     sizes = (*[cells] * 4, *[steps + 1] * 3, *figures, len(Outcome), *figures, 3, home * (robots + 1))
+    sizes += 2 * (delivers * (goal + 1),)
     by_cell = np.zeros((cells, 2)) if scores else np.zeros((cells if passes else 0, MOST_PASSES), dtype=np.int64)
     return Counts(*[*(np.zeros(size, dtype=np.int64) for size in sizes), by_cell])
 
@@ -631,7 +643,7 @@ def first_state(tables: Tables, room: int, passes: bool = False) -> State:
 
 
 def _first_mind(tables: Tables, room: int, kind: DTypeLike) -> Iterator[NDArray]:
-    """The prior map of an online mission: the last fields of a `State`."""
+    """The last fields of a `State`: the prior map of an online mission, and the cells carried."""
     learning, size = bool(len(tables.truths)), len(tables.belief)
     free = np.append(tables.belief >= 0, False)
     near = tables.near[:size]
@@ -644,6 +656,8 @@ def _first_mind(tables: Tables, room: int, kind: DTypeLike) -> Iterator[NDArray]
     yield np.zeros(room if learning else 0, dtype=kind)
     yield np.zeros(MIND if learning else 0, dtype=np.int64)
     yield tables.odds.copy()
+    rows = len(tables.starts) + 1 if len(tables.home_cost) else 0
+    yield np.zeros((rows, -(-len(tables.near) // WORD)), dtype=np.uint64)
 
 
 def make_state(first: State, levels: int) -> State:

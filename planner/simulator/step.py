@@ -119,7 +119,7 @@ def advance(t, p, s, c, w, log, how, ids):
         if verdict == PASSED:
             verdict = ACTS
             if not t.moving:  # else it survives at the end of the step
-                survive(s, c, cell)
+                survive(t, s, c, robot, cell)
                 if t.estimates:
                     update_belief(t, s, cell)
         if p is None:
@@ -192,7 +192,7 @@ def encounter(t, s, c, w, how, ids):
     if verdict == ACTS:
         for robot in range(len(s.robots)):
             if has_entered(s, robot):
-                survive(s, c, s.robots[robot].cell)
+                survive(t, s, c, robot, s.robots[robot].cell)
         s.entered[:] = np.uint64(0)
     return verdict
 
