@@ -224,13 +224,8 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
         if (problem.levels.of_cell[area.cells] != area.level).any():
             expected = "the level of all its cells in this plan"
             raise StateError(f"area {number} has level {area.level}", expected=expected, fix=_settings_asked("levels"))
-    robots = (
-        _sent(problem, robot, robot.area, state.areas[robot.area], state.visited)
-        if robot.status in ON_ITS_WAY and not len(robot.ahead)
-        else robot
-        for robot in state.robots
-    )
-    state = replace(state, robots=tuple(robots))
+    at_rest = {number for number, r in enumerate(state.robots) if r.status in ON_ITS_WAY and not len(r.ahead)}
+    state = _sent(problem, state, {number: state.robots[number].area for number in at_rest})
     for number, robot in enumerate(state.robots):
         if robot.status in ON_ITS_WAY and not _leads_on(robot, state.areas[robot.area], problem.rule.replanning):
             expected = "a path that ends in its area, and the cells it still has to cover on it"
@@ -252,15 +247,12 @@ def _check_exposures(problem: Problem, state: MissionState) -> None:
     borne = failure_model.exp1_begun(len(state.robots))
     for number, robot in enumerate(state.robots):
         if robot.alive and robot.exposure is None:
-            raise StateError(
-                f"robot {number} has no exposure (Weibull shape {problem.settings.weibull_shape:g})",
-                expected='"exposure": cumulative hazard of each robot, in nat: the sum of -ln(1 - p) over its visits',
-            )
+            fault = f"robot {number} has no exposure (Weibull shape {problem.settings.weibull_shape:g})"
+            expected = '"exposure": cumulative hazard of each robot, in nat: the sum of -ln(1 - p) over its visits'
+            raise StateError(fault, expected=expected)
         if robot.alive and borne[number] > MOST:
-            raise StateError(
-                f"robot {number} has an exposure of {state.exposures[number] / NAT:g} nat",
-                expected="no more than any failure threshold",
-            )
+            fault = f"robot {number} has an exposure of {state.exposures[number] / NAT:g} nat"
+            raise StateError(fault, expected="no more than any failure threshold")
 
 
 def _leads_on(robot: RobotState, area: AreaState, replanning: bool) -> bool:
@@ -280,31 +272,28 @@ def _allocated(problem: Problem, state: MissionState, able: list[int]) -> Missio
 
     starts, density = problem.starts[able], problem.settings.density
     given = allocate_areas_to_robots(parts(~seen), starts, shape, [problem.paths] * len(starts), density, metis_parts)
+    owner = {able[area.robot]: number for number, area in enumerate(given) if area.robot != NO_ROBOT}
+    robot_of = {number: robot for robot, number in owner.items()}
     areas = [
-        AreaState(a.level, able[a.robot], "assigned", a.cells)
-        if a.robot != NO_ROBOT
-        else AreaState(a.level, NO_ROBOT, "unassigned", a.cells)
-        for a in given
+        AreaState(a.level, robot_of.get(number, NO_ROBOT), "assigned" if number in robot_of else "unassigned", a.cells)
+        for number, a in enumerate(given)
     ]
-    owner = {area.robot: number for number, area in enumerate(areas) if area.robot != NO_ROBOT}
     done = [AreaState(level, NO_ROBOT, "completed", cells) for level, cells in parts(seen)]
-    robots = tuple(
-        _sent(problem, robot, owner[number], areas[owner[number]], state.visited)
-        if number in owner
-        else replace(robot, status="idle" if number in able else robot.status)
-        for number, robot in enumerate(state.robots)
-    )
-    return replace(state, robots=robots, areas=(*areas, *done), quiet=0)
+    robots = (replace(r, status="idle") if number in able else r for number, r in enumerate(state.robots))
+    return _sent(problem, replace(state, robots=tuple(robots), areas=(*areas, *done), quiet=0), owner)
 
 
-def _sent(problem: Problem, robot: RobotState, number: int, area: AreaState, visited: NDArray[np.int64]) -> RobotState:
-    """The robot on the path to its area's cells to do."""
-    rank = np.full(problem.costs.size, NOT_WANTED, dtype=np.int32)
-    rank[np.setdiff1d(area.cells, visited)] = 0
-    target = problem.paths.nearest(robot.cell, rank)
-    assert target is not None  # Algorithm 1 only assigns reachable areas
-    ahead = problem.paths.path(robot.cell, target.cell)
-    return replace(robot, status="traveling", area=number, ahead=ahead, held=False)
+def _sent(problem: Problem, state: MissionState, owner: dict[int, int]) -> MissionState:
+    """The state with robots on the paths to the cells to do in their areas: robot -> area."""
+    robots = list(state.robots)
+    for robot, number in owner.items():
+        rank = np.full(problem.costs.size, NOT_WANTED, dtype=np.int32)
+        rank[np.setdiff1d(state.areas[number].cells, state.visited)] = 0
+        target = problem.paths.nearest(robots[robot].cell, rank)
+        assert target is not None  # Algorithm 1 only assigns reachable areas
+        ahead = problem.paths.path(robots[robot].cell, target.cell)
+        robots[robot] = replace(robots[robot], status="traveling", area=number, ahead=ahead, held=False)
+    return replace(state, robots=tuple(robots))
 
 
 def areas_of(state: MissionState) -> tuple[Area, ...]:

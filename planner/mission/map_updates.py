@@ -260,11 +260,11 @@ def closed_state(state: MissionState, world: World, levels: int) -> MissionState
     state = _on_free_cells(state, world)
     kept = world.accessible(state.starts).ravel()
     level_of, labels = find_levels(world.threat, kept.reshape(world.shape), levels).of_cell, world.components.ravel()
-    visited = np.zeros(kept.size, dtype=np.bool_)
-    visited[state.visited] = True
+    seen = np.zeros(kept.size, dtype=np.bool_)
+    seen[state.visited] = True
 
     def left_in(cells: NDArray[np.int64]) -> int:
-        return int(np.count_nonzero(~visited[cells]))
+        return int(np.count_nonzero(~seen[cells]))
 
     areas: list[AreaState] = []
     own: dict[int, int] = {}
@@ -283,15 +283,9 @@ def closed_state(state: MissionState, world: World, levels: int) -> MissionState
                 own[robot] = len(areas)
             areas.append(AreaState(int(level_of[part[0]]), robot, what, part))
     robots = tuple(_still(robot, own.get(number, NO_AREA), areas, kept) for number, robot in enumerate(state.robots))
-    return replace(
-        state,
-        sha256=world.sha256,
-        visited=state.visited[kept[state.visited]],
-        survived=state.survived[kept[state.survived]],
-        robots=robots,
-        areas=tuple(areas),
-        quiet=0,
-    )
+    visited, survived = (cells[kept[cells]] for cells in (state.visited, state.survived))
+    covered = {"visited": visited, "survived": survived, "areas": tuple(areas)}
+    return replace(state, sha256=world.sha256, robots=robots, quiet=0, **covered)
 
 
 def _still(robot: RobotState, area: int, areas: list[AreaState], kept: NDArray[np.bool_]) -> RobotState:

@@ -351,16 +351,12 @@ class Mission:
 
     def _order(self, fleet: Fleet, number: int, due: int | None) -> Order:
         """The order from a robot's decision; a robot that gets its area in this step stays and sees its path."""
-        ahead, width, doing = (
-            fleet.loop.cells[fleet.path_ahead(number)].tolist(),
-            self.world.shape[1],
-            fleet.doing(number),
-        )
+        ahead, width = fleet.loop.cells[fleet.path_ahead(number)].tolist(), self.world.shape[1]
         # The ordered cell comes first in `cells`, so it must not be listed twice.
         if due is not None and ahead[:1] == [due]:
             ahead = ahead[1:]
         waits = fleet.raw.robots["held"][number] or number in fleet.aside or fleet.moves_left(number) == 0
-        why = WHY.get(doing, "hold" if waits else "idle")
+        why = WHY.get(fleet.doing(number), "hold" if waits else "idle")
         cells = [divmod(cell, width) for cell in [fleet.cell(number) if due is None else due, *ahead]]
         return Order(number, cells[0], tuple(cells[1:]), fleet.area(number), why)
 

@@ -18,10 +18,10 @@ from planner.plan.plan import Plan
 from planner.plan.reading import at
 from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.single_run import NOT_BEGUN, SingleRun, holds
-from planner.simulator.codes import NO_AREA, NONE, Doing, Outcome
+from planner.simulator.codes import MOVES, NO_AREA, NONE, Doing, Outcome
 from planner.simulator.jit import interpreted
 from planner.simulator.offers import Offer
-from planner.simulator.state import AREA_BITS, MOVES, SURVIVED, TO_DO, VISITED
+from planner.simulator.state import AREA_BITS, SURVIVED, TO_DO, VISITED
 
 
 class Fleet(SingleRun):
@@ -43,10 +43,8 @@ class Fleet(SingleRun):
         """Args: `last_update`: begin of the last announced phase that changes the map, 0: none."""
         super().__init__(compile_closed_loop(plan, problem.world, problem=problem, interpreted=True))
         # A visit may destroy a robot in any cell: it counts as survived only once that is reported.
-        self.t = self.t._replace(
-            bound=np.zeros_like(self.t.bound), phases=np.zeros(1, dtype=np.int64), phased=True, notes=None,
-            last_update=last_update,
-        )  # fmt: skip
+        phases = {"phases": np.zeros(1, dtype=np.int64), "phased": True, "last_update": last_update}
+        self.t = self.t._replace(bound=np.zeros_like(self.t.bound), notes=None, **phases)
         self.problem, self.gain, self.aside = problem, gain, set[int]()
         # A resumed state may be complete already, before any step.
         if self.step != NOT_BEGUN:
@@ -627,11 +625,9 @@ class Reports:
     def as_json(self) -> list[Json]:
         """The reports as in files."""
         width, late = self.fleet.problem.world.shape[1], self.fleet.step
-        passed = [{"robot": robot, "cell": list(divmod(cell, width)), "step": late} for robot, cell in self.passed]
-        return passed + [
-            {"robot": number, **asdict(report), "cell": list(divmod(report.cell, width))}
-            for number, report in self.now.items()
-        ]
+        found = [({"robot": robot, "step": late}, cell) for robot, cell in self.passed]
+        found += [({"robot": robot, **asdict(report)}, report.cell) for robot, report in self.now.items()]
+        return [report | {"cell": list(divmod(cell, width))} for report, cell in found]
 
 
 def whole_numbers(given: ArrayLike) -> NDArray[np.int64]:

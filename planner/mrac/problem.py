@@ -340,11 +340,8 @@ def prepare(
         levels, entry, own = own_maps(worlds, world.accessible(checked), settings)
         costs = own.costs.max(axis=0)
     else:
-        levels = (
-            find_levels(world.threat, world.accessible(checked), settings.levels)
-            if unknown is None
-            else unknown.dearest
-        )
+        accessible = world.accessible(checked)
+        levels = unknown.dearest if unknown else find_levels(world.threat, accessible, settings.levels)
         costs = entry_costs(levels, settings.risk, world.source)
         entry = level_costs(levels.values, costs.size, settings.risk).astype(np.int64)
     value = decision_values(world, levels.accessible, settings.priority) if rule.replanning else None

@@ -87,11 +87,8 @@ def compile_closed_loop(
     if problem.own is not None:
         tabled = True
         if len(problem.own.costs) * len(cells) ** 2 > MOST_TABLED**2:
-            raise PlanError(
-                f"{len(problem.own.costs)} types of robots on {len(cells):,} cells",
-                expected=f"types x cells x cells up to {MOST_TABLED**2:,}",
-                fix="coarsen the map",
-            )
+            large = f"{len(problem.own.costs)} types of robots on {len(cells):,} cells"
+            raise PlanError(large, expected=f"types x cells x cells up to {MOST_TABLED**2:,}", fix="coarsen the map")
     tables = make_tables(problem, cells, areas, tabled, kept, plan.failure_model)
     if interpreted and len(cells) >= LARGE:  # a single run rarely asks for the costs from a cell again
         tables = tables._replace(patience=ASKED_BEFORE)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.mrac.problem import Problem, ready_loop
-from planner.plan.plan import Area, Leg, Plan
+from planner.plan.plan import Area, Leg, LegKind, Plan
 from planner.plan.state import NO_CELLS, AreaState, MissionState, RobotState
 from planner.rollout_sampling import rows_met
 from planner.rollouts.closed_loop import compile_closed_loop, logged_rollouts, trace_from
@@ -21,20 +21,9 @@ from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.runners import Runner
 from planner.rollouts.tables import first_frames
 from planner.simulator.areas import FRAME_ROWS, Log
-from planner.simulator.codes import NO_AREA, NO_ROBOT, NONE, Doing, EventKind, Outcome
+from planner.simulator.codes import ACTS, LANDING, NO_AREA, NO_ROBOT, NONE, STARTING, Doing, EventKind, Outcome
 from planner.simulator.jit import interpreted
-from planner.simulator.state import (
-    ACTS,
-    AREA_BITS,
-    MOST_NARROW,
-    SURVIVED,
-    TO_DO,
-    VISITED,
-    State,
-    Work,
-    first_room,
-    make_work,
-)
+from planner.simulator.state import AREA_BITS, MOST_NARROW, SURVIVED, TO_DO, VISITED, State, Work, first_room, make_work
 from planner.tally import Trace
 from planner.world.world import World
 
@@ -118,12 +107,8 @@ class SingleRun:
         self.raw.marks["last"] = 1
         self._recall()
         rows = 8 * len(loop.cells) + 16 * loop.robots + 256
-        self.log = Log(
-            np.zeros((rows, 5), dtype=np.int32),
-            np.zeros((1, FRAME_ROWS, loop.robots), np.int32),
-            np.full((1, loop.robots), NONE, np.int32),
-            True,
-        )
+        frames, legs = np.zeros((1, FRAME_ROWS, loop.robots), np.int32), np.full((1, loop.robots), NONE, np.int32)
+        self.log = Log(np.zeros((rows, 5), np.int32), frames, legs, True)
         self.outcome: Outcome | None = None
         self.new_events = self.log.events[:0]
         given = () if loop.state is None else loop.state.robots
@@ -309,8 +294,8 @@ class SingleRun:
 
     def doing(self, robot: int) -> Doing:
         """The status of the robot."""
-        state, code = interpreted("state"), int(self.raw.robots["doing"][robot])
-        return Doing({state.LANDING: Doing.IDLE, state.STARTING: Doing.TRAVELING}.get(code, code))
+        code = int(self.raw.robots["doing"][robot])
+        return Doing({LANDING: Doing.IDLE, STARTING: Doing.TRAVELING}.get(code, code))
 
     def area(self, robot: int) -> int:
         """The id of the robot's area, NO_AREA if it has none."""
@@ -331,7 +316,7 @@ class SingleRun:
 
     def _ahead(self, robot: int) -> Iterator[int]:
         me, t, s, w = self.s.robots[robot], self.t, self.s, self.w
-        state, doing = interpreted("state"), self.doing(robot)
+        doing = self.doing(robot)
         if doing is Doing.FOLLOWING:
             yield from map(int, t.given[robot, max(s.marks.step, 0) + (s.marks.step == 0) : t.length[robot] + 1])
         elif doing is Doing.RETURNING:
@@ -340,12 +325,12 @@ class SingleRun:
             while int(onward[cell]) != cell:
                 cell = int(onward[cell])
                 yield cell
-        elif me.doing == state.STARTING or doing in (Doing.TRAVELING, Doing.COVERING):
+        elif me.doing == STARTING or doing in (Doing.TRAVELING, Doing.COVERING):
             # The functions that find legs change the state: it is restored below.
             self._recall()
             kept = self.raw.robots[robot].copy(), self.raw.legs[robot : robot + 1].copy(), self.raw.home.copy()
             paths = interpreted("paths")
-            if me.doing == state.STARTING:
+            if me.doing == STARTING:
                 paths.set_out(t, s, w, robot, paths.entry_of(t, s, w, robot, me.area), t.searches)
             found = list[int]()
             while me.cell != me.target or me.left > 0:
@@ -418,10 +403,8 @@ def areas_made(loop: ClosedLoop, trace: Trace, level: NDArray[np.int32]) -> tupl
     # From the last area to the first: a part may have been split again, so its own parts are added first.
     for number in range(len(parents) - 1, -1, -1):
         inside[parents[number]] = np.concatenate([inside[parents[number]], inside[given + number]])
-    return tuple(
-        Area(int(level[number]), NO_ROBOT, np.sort(inside[number]).astype(np.int64))
-        for number in range(given, given + len(parents))
-    )
+    cells = (np.sort(of).astype(np.int64) for of in inside[given:])
+    return tuple(Area(int(of), NO_ROBOT, mine) for of, mine in zip(level[given:], cells, strict=False))
 
 
 def legs_of(loop: ClosedLoop, noted: NDArray[np.int32], level: NDArray[np.int32]) -> tuple[tuple[Leg, ...], ...]:
@@ -439,18 +422,9 @@ def legs_of(loop: ClosedLoop, noted: NDArray[np.int32], level: NDArray[np.int32]
         # A leg begins where area or kind changes, or after a wait.
         begins = np.flatnonzero((np.diff(of[moves], prepend=NONE - 1) != 0) | (np.diff(moves, prepend=-pace) > pace))
         ends = np.append(begins[1:], len(moves)) - 1
-        rows = zip(
-            of[moves[begins]].tolist(),
-            (first + moves[begins]).tolist(),
-            (first + moves[ends] + 1).tolist(),
-            strict=True,
-        )
-        found.append(
-            tuple(
-                Leg("cover" if code & 1 else "travel", code >> 1, int(level[code >> 1]), start, stop)
-                for code, start, stop in rows
-            )
-        )
+        rows = np.stack([of[moves[begins]], first + moves[begins], first + moves[ends] + 1], axis=1).tolist()
+        kinds: tuple[LegKind, LegKind] = "travel", "cover"
+        found.append(tuple(Leg(kinds[of & 1], of >> 1, int(level[of >> 1]), *span) for of, *span in rows))
     return tuple(found)
 
 

@@ -114,10 +114,8 @@ def make_tables(
     # With several robot types each has its own costs, so its tables; they are concatenated, type after type.
     if tabled:
         entries = [entry] if problem.own is None else problem.own.costs[:, cells]
-        of_types = [
-            (kept if problem.own is None and kept else AllPairs()).tables(near, one, cost.dtype, hop.dtype)
-            for one in entries
-        ]
+        kept = kept if kept and problem.own is None else AllPairs()
+        of_types = [kept.tables(near, one, cost.dtype, hop.dtype) for one in entries]
         areas_of = [to_areas(of_type[0], hop.dtype, order, begin) for of_type in of_types]
         cost, hop, ranked = of_types[0] if problem.own is None else map(np.concatenate, zip(*of_types, strict=True))
         area_cost, area_entry = map(np.concatenate, zip(*areas_of, strict=True))
@@ -471,12 +469,9 @@ def first_frames(mission: MissionState, cells: NDArray[np.int64]) -> NDArray[np.
         cells: int64 `[A]`, the accessible cells.
     """
     robots = mission.robots
-    now = [
-        np.searchsorted(cells, [robot.cell for robot in robots]).tolist(),
-        [DOINGS[robot.status] for robot in robots],
-        [robot.area for robot in robots],
-    ]
-    return np.broadcast_to(np.array(now, dtype=np.int32), (mission.step + 1, 3, len(robots)))
+    now = np.array([(robot.cell, DOINGS[robot.status], robot.area) for robot in robots], dtype=np.int32).T
+    now[0] = np.searchsorted(cells, now[0])
+    return np.broadcast_to(now, (mission.step + 1, 3, len(robots)))
 
 
 # The policy of a plan for the simulator, and a user's rule as a compiled function.

@@ -15,12 +15,12 @@ from .areas import (
     note,
     replace,
 )
-from .codes import NONE
+from .codes import CHARGING, DEAD, DONE, NONE, RETURNING
 from .jit import kernel, rare_kernel
 from .paths import adjacent, look_up_nearest, seek, to_do_in, to_do_of, walk_back
 from .range_budget import can_go_on, moves_home, own_moves
 from .robot_types import own_turn
-from .state import CHARGING, DEAD, DONE, FAR, ONE, RETURNING, TO_DO, drop, holds, put
+from .state import FAR, ONE, TO_DO, drop, holds, put
 
 
 @rare_kernel

@@ -15,7 +15,7 @@ from numba import types
 from numba.extending import intrinsic, overload
 from numpy.typing import DTypeLike, NDArray
 
-from .codes import NONE, Doing, Outcome
+from .codes import FOLLOWING, LANDING, NONE, STARTING, Outcome
 from .jit import kernel
 from .thresholds import LEAST
 
@@ -100,12 +100,6 @@ def holds(bits, member):
     return bits[member >> 6] >> np.uint64(member & 63) & ONE != 0
 
 
-IDLE, TRAVELING, COVERING, DONE, DEAD, FOLLOWING, RETURNING, CHARGING = map(int, Doing)
-LANDING, STARTING = range(len(Doing), len(Doing) + 2)
-"""States of a robot that has not entered its start yet: without an area, and with one."""
-COMPLETE, ALL_ROBOTS_LOST, NO_PROGRESS, STEP_LIMIT, _, NOT_WORTH_THE_RISK, _, _ = map(int, Outcome)
-GROUP_SPLITS, CUT, AREAS_FULL = -2, -3, -4  # none of them is NONE
-"""Why `advance` returns before the end of a run: the group splits; all its mass is below the cut; no room for areas."""
 FAR = 2**63 - 1
 NO_LEVEL = 2**31 - 1
 """The level of `State.lowest` if no area is unassigned."""
@@ -394,10 +388,6 @@ alarm adds and silence subtracts, and the alarms of 2**24 readings at a hazard a
 SEEN, LOOKED, OUT = 1, 2, 4
 TRUTH, BELIEF, MIND = range(3)
 """`State.mind`: index of the true map; index of the team's map, to which cached rows of costs belong."""
-RESTS, GAINS, MOVES, NO_ROOM = 0, 1, 2, -1
-"""Results of a turn: no move; an area and no move; a move; the area registry is full."""
-ACTS, HIT, PASSED = range(3)
-"""Verdicts: the next robot acts; the robot is lost in the cell that it entered; it survived there."""
 WORD = 64
 
 
