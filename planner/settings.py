@@ -12,12 +12,8 @@ from planner.arguments import (
     ANY,
     COMMAND_LINE,
     ENGINES,
-    LEAST_SHAPE,
-    LEAST_SUSCEPTIBILITY,
     MAX_STEP,
     MOST_ROLLOUTS,
-    MOST_SHAPE,
-    MOST_SUSCEPTIBILITY,
     POSITIVE,
     SEED,
     Numbers,
@@ -240,11 +236,11 @@ class Settings:
     )  # fmt: skip
     weibull_shape: float = _setting(
         1.0, "Weibull shape", "Weibull shape of the failure threshold; above 1: risk grows with exposure (default: 1).",
-        Numbers(LEAST_SHAPE, MOST_SHAPE), later=True,
+        Numbers(0.25, 16.0), later=True,
     )  # fmt: skip
     hazard_multiplier: float | tuple[float, ...] = _setting(
         1.0, "hazard multiplier", "Factor on the hazard of every visit: one number, or one per robot (default: 1).",
-        Numbers(LEAST_SUSCEPTIBILITY, MOST_SUSCEPTIBILITY), each=True, later=True,
+        Numbers(1 / 64, 64.0), each=True, later=True,
     )  # fmt: skip
     return_to: str | tuple[tuple[int, int], ...] | None = _setting(
         None, "return to", 'Return to: home (the own start), nearest (any start) or bases "row,col;row,col;...".',
@@ -318,11 +314,6 @@ class Settings:
         for name in (name for name, setting in SETTINGS.items() if setting.each and not setting.found):
             check_each(name, getattr(self, name), robots, source)
 
-    def require_no_return(self, what: str) -> None:
-        """Raise PlanError for robots that return to a base, which `what` does not support."""
-        if self.return_to is not None:
-            raise PlanError(f"{what} with {argument('return_to')}", fix=f"leave {argument('return_to')} out")
-
     @property
     def paces(self) -> tuple[int, ...]:
         """Steps a move of each robot, without a common factor; none where all have one speed."""
@@ -330,20 +321,16 @@ class Settings:
         reduced = tuple(steps // math.gcd(*given) for steps in given)
         return reduced if len(set(reduced)) > 1 else ()
 
-    def require_uniform(self, what: str) -> None:
-        """Raise PlanError for robots that differ, or have a limited radio range, which `what` does not support."""
-        differ = (
-            ("types", self.types is not None),
-            ("steps_per_move", bool(self.paces)),
-            ("radio", self.radio is not None),
-        )
-        for name in (name for name, given in differ if given):
-            raise PlanError(f"{what} with {argument(name)}", fix=f"leave {argument(name)} out")
+    def require_uniform(self, what: str, *others: str) -> None:
+        """Raise PlanError for robots that differ or have a limited radio range, which `what` does not support.
 
-    def require_no_recharge(self, what: str) -> None:
-        """Raise PlanError for robots that leave their bases again, which `what` does not support."""
-        for name in ("recharge", "deliver_every"):
-            if getattr(self, name) is not None:
+        Args:
+            what: subject of the message.
+            others: further settings that it does not support.
+        """
+        differ = {"steps_per_move": bool(self.paces)}
+        for name in (*others, "types", "steps_per_move", "radio"):
+            if differ.get(name, getattr(self, name) is not None):
                 raise PlanError(f"{what} with {argument(name)}", fix=f"leave {argument(name)} out")
 
     def check(self, source: str = "") -> None:

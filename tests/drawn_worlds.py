@@ -21,7 +21,6 @@ from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.exact_tree import WHOLE, grow_tree
 from planner.rollouts.single_run import SingleRun
-from planner.rollouts.single_run import play as played
 from planner.settings import Settings
 from planner.simulator.codes import Outcome
 from planner.world.generate import PAPER_LEVELS, ThreatPattern, random_world
@@ -62,7 +61,7 @@ def closed_loop(plan: Plan, world: World) -> Play:
     loop = compile_closed_loop(plan, world, interpreted=True)
 
     def play(hit: Callable[[int, int, int], bool]) -> np.ndarray:
-        run = played(SingleRun(loop, hit=hit))
+        run = SingleRun(loop, hit=hit).play()
         brought = len(delivered(run.trace, plan.bases))
         return np.array([run.visited.sum(), run.survived.sum(), run.alive.sum(), brought], dtype=float)
 

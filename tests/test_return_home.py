@@ -32,7 +32,7 @@ from planner.plan.state_file import parse_state
 from planner.plan_team import plan_team
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.exact_tree import WHOLE, grow_tree
-from planner.rollouts.single_run import PythonLoop, play
+from planner.rollouts.single_run import PythonLoop
 from planner.settings import Settings
 from planner.simulator.codes import Doing, EventKind, Outcome
 from planner.tally import Trace
@@ -309,7 +309,7 @@ def test_a_run_goes_on_from_its_state_as_if_it_had_not_stopped() -> None:
                 assert read.delivered is not None
                 assert set(read.delivered.tolist()) == delivered(trace, plan.bases, step + 1)
                 run = VisitLoop(rest, world).begin(0, rollout)
-                again = play(run).trace
+                again = run.play().trace
                 assert run.raw.marks["delivered"] == len(delivered(trace, plan.bases))
                 np.testing.assert_array_equal(again.cells[step:], trace.cells[step:])
                 assert again.outcome == trace.outcome
@@ -334,14 +334,14 @@ def test_an_operator_ends_a_driven_mission_and_a_new_battery_sends_out_again() -
     world = corridor(12, 0.01)
     mission = Mission(world, make_plan(world, [[0, 0]], Settings(return_to="home", range=8)))
     assert "return" not in driven(mission, 5) and set(driven(mission, 4)) == {"return"}
-    assert mission.outcome is None and mission._fleet.robots[0].turned
+    assert mission.outcome is None and 0 in mission._fleet.turned
     mission.report(0, cell=(0, 0), moves_left=24)
     assert set(driven(mission, 4)) == {"hold", "travel"}
     mission.call_off()
     assert set(driven(mission, 3)) == {"return"}
     while mission.outcome is None:
         driven(mission, 1)
-    assert mission.outcome == Outcome.ENDED_BY_OPERATOR and mission._fleet.robots[0].cell == 0
+    assert mission.outcome == Outcome.ENDED_BY_OPERATOR and mission._fleet.cell(0) == 0
 
 
 def test_who_is_cut_off_from_home_goes_on_and_stays_where_it_ends(tmp_path: Any) -> None:
@@ -353,7 +353,7 @@ def test_who_is_cut_off_from_home_goes_on_and_stays_where_it_ends(tmp_path: Any)
     mission = Mission.resume(tmp_path / "now.json", world, make_plan(world, [[0, 0]], Settings(return_to="home")))
     while mission.outcome is None:
         driven(mission, 1)
-    assert mission.outcome == Outcome.COMPLETE and mission._fleet.robots[0].cell == 7
+    assert mission.outcome == Outcome.COMPLETE and mission._fleet.cell(0) == 7
 
 
 def test_worth_counts_the_way_home() -> None:

@@ -222,10 +222,8 @@ class Plan:
         """
         known = ("", world.sha256) if self.is_external else (world.sha256,)
         if self.shape != world.shape or self.sha256 not in known:
-            raise PlanError(
-                f"plan for another map: made for {self.shape[0]}x{self.shape[1]} {self.sha256[:12]}",
-                expected=f"{world.shape[0]}x{world.shape[1]} {world.sha256[:12]}",
-            )
+            made, expected = (f"{of.shape[0]}x{of.shape[1]} {of.sha256[:12]}" for of in (self, world))
+            raise PlanError(f"plan for another map: made for {made}", expected=expected)
         return self.settings or self._own
 
     def until(self, step: int) -> Plan:
@@ -288,11 +286,8 @@ class Plan:
             PlanError: the plan has a user's rule or order, which files cannot hold.
         """
         if self.settings is not None and self.settings.own_words:
-            raise PlanError(
-                f"a plan with {self.settings.own_words} cannot be saved",
-                expected="a policy that has a name",
-                fix="make the plan again where it is needed",
-            )
+            problem, fix = f"a plan with {self.settings.own_words} cannot be saved", "make the plan again where needed"
+            raise PlanError(problem, expected="a policy that has a name", fix=fix)
         # Cells as [row, col]: files are read by people and by other programs.
         width = self.shape[1]
 

@@ -16,7 +16,7 @@ from planner.arguments import MAX_PLAN_BYTES, MAX_STEP, Numbers, argument, whole
 from planner.errors import MapError, StateError, UsageError
 from planner.files import is_header, read_json, read_npy
 from planner.formatting import counted, share
-from planner.plan.reading import at, check_map, check_partition, read_cell, read_cells, read_path
+from planner.plan.reading import at, check_map, check_moves, check_partition, read_cell, read_cells, read_path
 from planner.plan.state import (
     AREA_STATES,
     FORMAT,
@@ -119,9 +119,7 @@ def _state_file_robot(key: Key, to_do: Key, held: bool, world: World, before: Wo
     if status not in ON_ITS_WAY and (area != NO_AREA or len(ahead)):
         what = "both lost and moving" if status == "dead" else f"{status}, and has an area or a path"
         raise key.fault(f"is {what}", "no area and nothing ahead", "leave area and ahead out")
-    rows, cols = np.divmod(np.array([cell, *ahead]), world.shape[1])
-    if (np.abs(np.diff(rows)) + np.abs(np.diff(cols)) != 1).any():
-        raise keys["ahead"].fault("jumps", "one cell north, south, east or west at a time")
+    check_moves(keys["ahead"], np.array([cell, *ahead]), world)
     exposure = None if keys["exposure"].value is None else round(keys["exposure"].number(NATS) * NAT)
     home = None if keys["home"].value is None else read_cell(keys["home"], before)
     if not isinstance(keys["turned"].value, bool):

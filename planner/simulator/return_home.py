@@ -15,23 +15,12 @@ from .areas import (
     note,
     replace,
 )
-from .codes import NONE
+from .codes import CHARGING, DEAD, DONE, NONE, RETURNING
 from .jit import kernel, rare_kernel
 from .paths import adjacent, look_up_nearest, seek, to_do_in, to_do_of, walk_back
 from .range_budget import can_go_on, moves_home, own_moves
 from .robot_types import own_turn
-from .state import (
-    CHARGING,
-    DEAD,
-    DONE,
-    FAR,
-    ONE,
-    RETURNING,
-    TO_DO,
-    drop,
-    holds,
-    put,
-)
+from .state import FAR, ONE, TO_DO, drop, holds, put
 
 
 @rare_kernel
@@ -126,8 +115,7 @@ def start_return(t, s, w, log, robot, charges):
     while moves_home(t, robot, base) > 0:
         base = np.int64(onward[base])
     note(log, s, robot, TURNED_HOME_EVENT, area if owns else np.int64(NONE), base)
-    if holds(s.waiting, robot):
-        s.robots[robot].until += own_turn(t, robot, s.marks.step)  # a turn again: it moves from the next step on
+    waited = holds(s.waiting, robot)
     drop(s.movers, robot)
     drop(s.waiting, robot)
     me.doing, me.held = DONE, 0
@@ -139,6 +127,8 @@ def start_return(t, s, w, log, robot, charges):
     elif base != cell:
         me.doing, me.next = RETURNING, onward[cell]
         put(s.movers, robot)
+    if waited and holds(s.movers, robot):
+        s.robots[robot].until += own_turn(t, robot, s.marks.step)  # a turn again: it moves from the next step on
     return True
 
 

@@ -15,22 +15,10 @@ from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.extending import intrinsic, overload
 
-from .codes import NONE
+from .codes import AREAS_FULL, CUT, GROUP_SPLITS, HIT, NONE, PASSED
 from .jit import kernel, program, rare_kernel, spliced
 from .map_belief import adopt_map
-from .state import (
-    AREAS_FULL,
-    CUT,
-    GROUP_SPLITS,
-    HIT,
-    MOST_PASSES,
-    NOWHERE_LEVEL,
-    OUT,
-    PASSED,
-    VISITED,
-    WORD,
-    State,
-)
+from .state import MOST_PASSES, NOWHERE_LEVEL, OUT, VISITED, WORD, State
 from .step import advance
 from .struct_pointers import flat, hand
 from .visits import count_scores

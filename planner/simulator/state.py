@@ -15,7 +15,7 @@ from numba import types
 from numba.extending import intrinsic, overload
 from numpy.typing import DTypeLike, NDArray
 
-from .codes import NONE, Doing, Outcome
+from .codes import FOLLOWING, LANDING, NONE, STARTING, Outcome
 from .jit import kernel
 from .thresholds import LEAST
 
@@ -100,12 +100,6 @@ def holds(bits, member):
     return bits[member >> 6] >> np.uint64(member & 63) & ONE != 0
 
 
-IDLE, TRAVELING, COVERING, DONE, DEAD, FOLLOWING, RETURNING, CHARGING = map(int, Doing)
-LANDING, STARTING = range(len(Doing), len(Doing) + 2)
-"""States of a robot that has not entered its start yet: without an area, and with one."""
-COMPLETE, ALL_ROBOTS_LOST, NO_PROGRESS, STEP_LIMIT, _, NOT_WORTH_THE_RISK, _, _ = map(int, Outcome)
-GROUP_SPLITS, CUT, AREAS_FULL = -2, -3, -4  # none of them is NONE
-"""Why `advance` returns before the end of a run: the group splits; all its mass is below the cut; no room for areas."""
 FAR = 2**63 - 1
 NO_LEVEL = 2**31 - 1
 """The level of `State.lowest` if no area is unassigned."""
@@ -125,6 +119,9 @@ MOST_PASSES = 8
 (`analysis.evaluation.outputs.value`)."""
 MOST_COUNTED = 2**16 - 1
 """Survived visits of a cell that a state counts."""
+STAYS, HITS, ROUTE, ROUTE_LENGTH, MOVER_WORDS = range(5)
+"""Columns of `Tables.movers`: chances, of 2**24, that a walking threat stays and that it destroys a robot it meets; the
+begin of its route in `routes`; cells of the route, 0: it walks at random."""
 
 
 class Tables(NamedTuple):
@@ -210,6 +207,7 @@ class Tables(NamedTuple):
     bound: NDArray
     exposure: NDArray
     chance: NDArray
+    doses: NDArray
     starts: NDArray
     range: NDArray
     order: NDArray
@@ -223,41 +221,40 @@ class Tables(NamedTuple):
     kind: NDArray
     kind_cost: NDArray
     kind_begin: NDArray
-    own_counter: NDArray
-    there: NDArray
-    column: NDArray
-    spent: NDArray
-    doses: NDArray
     given: NDArray
     length: NDArray
-    truths: NDArray
-    belief: NDArray
-    price: NDArray
-    view_begin: NDArray
     in_view: NDArray
-    odds: NDArray
-    survival: NDArray
-    step: NDArray
-    lessons: NDArray
-    phases: NDArray
-    nodes: NDArray
-    times: NDArray
-    begun: NDArray
-    movers: NDArray
-    routes: NDArray
-    type_of: NDArray
-    own_level: NDArray
-    pace: NDArray
-    ticks: NDArray
-    clock: NDArray
-    place: NDArray
-    bases: NDArray
-    reach: NDArray
-    home_of: NDArray
-    home_bases: NDArray
-    home_steps: NDArray
-    home_cost: NDArray
     onward: NDArray
+    own_counter: NDArray = np.zeros(0, np.uint32)
+    there: NDArray = np.zeros(0, np.uint32)
+    column: NDArray = np.zeros(0, np.int32)
+    spent: NDArray = np.zeros(0, np.uint64)
+    truths: NDArray = np.zeros((0, 0), np.int16)
+    belief: NDArray = np.zeros(0, np.int16)
+    price: NDArray = np.zeros(0, np.int64)
+    view_begin: NDArray = np.zeros(0, np.int64)
+    odds: NDArray = np.zeros(0, np.int64)
+    survival: NDArray = np.zeros(0, np.int64)
+    step: NDArray = np.zeros(0, np.int64)
+    lessons: NDArray = np.zeros(0, np.int64)
+    phases: NDArray = np.zeros(0, np.int64)
+    nodes: NDArray = np.zeros(0, np.int64)
+    times: NDArray = np.zeros(0, np.int64)
+    begun: NDArray = np.zeros(0, np.int64)
+    movers: NDArray = np.zeros((0, MOVER_WORDS), np.int64)
+    routes: NDArray = np.zeros(0, np.int64)
+    type_of: NDArray = np.zeros(0, np.int64)
+    own_level: NDArray = np.zeros((0, 0), np.int64)
+    pace: NDArray = np.zeros(0, np.int64)
+    ticks: NDArray = np.zeros(0, np.int64)
+    clock: NDArray = np.zeros((0, 0), np.uint64)
+    place: NDArray = np.zeros((0, 2), np.int64)
+    bases: NDArray = np.zeros((0, 2), np.int64)
+    reach: NDArray = np.zeros(0, np.int64)
+    home_of: NDArray = np.zeros(0, np.int64)
+    home_bases: NDArray = np.zeros((0, 0), np.bool_)
+    home_steps: NDArray = np.zeros((0, 0), np.int32)
+    home_cost: NDArray = np.zeros((0, 0), np.int64)
     nearby: int = 0
     wide: int = 0
     patience: int = 0
@@ -385,19 +382,12 @@ GROUP = np.dtype(
     ],
     align=True,
 )
-STAYS, HITS, ROUTE, ROUTE_LENGTH, MOVER_WORDS = range(5)
-"""Columns of `Tables.movers`: chances, of 2**24, that a walking threat stays and that it destroys a robot it meets; the
-begin of its route in `routes`; cells of the route, 0: it walks at random."""
 AT_STOP, MORE, LESS, ALARM, SILENCE, DETECTS, ERRS, LESSONS = range(8)
 """`Tables.lessons`: log odds after a loss; classes above and below the first; with a detector the log odds that an
 alarm adds and silence subtracts, and the alarms of 2**24 readings at a hazard and elsewhere; else 0."""
 SEEN, LOOKED, OUT = 1, 2, 4
 TRUTH, BELIEF, MIND = range(3)
 """`State.mind`: index of the true map; index of the team's map, to which cached rows of costs belong."""
-RESTS, GAINS, MOVES, NO_ROOM = 0, 1, 2, -1
-"""Results of a turn: no move; an area and no move; a move; the area registry is full."""
-ACTS, HIT, PASSED = range(3)
-"""Verdicts: the next robot acts; the robot is lost in the cell that it entered; it survived there."""
 WORD = 64
 
 

@@ -16,16 +16,7 @@ import numpy as np
 
 from . import fixed_paths, replanning
 from .areas import compare_again, has_area, note_leg, write_frame
-from .codes import NONE
-from .jit import kernel, rare_kernel
-from .map_belief import clear_changes, recall, revise, update_belief, update_map
-from .moving_threats import has_entered, is_meeting, meet
-from .next_area import could_go_on
-from .replanning import begin, is_news
-from .return_home import count_at_base, end_range, is_away, move_to_base, start_returns, stay
-from .robot_types import came_back, on_turn, own_turn
-from .solo import only_mover, walk_alone
-from .state import (
+from .codes import (
     ACTS,
     ALL_ROBOTS_LOST,
     AREAS_FULL,
@@ -36,16 +27,22 @@ from .state import (
     MOVES,
     NO_PROGRESS,
     NO_ROOM,
+    NONE,
     NOT_WORTH_THE_RISK,
-    ONE,
     PASSED,
     RESTS,
     RETURNING,
     STEP_LIMIT,
-    TO_DO,
-    WORD,
-    lowest_bit,
 )
+from .jit import kernel, rare_kernel
+from .map_belief import clear_changes, recall, revise, update_belief, update_map
+from .moving_threats import has_entered, is_meeting, meet
+from .next_area import could_go_on
+from .replanning import begin, is_news
+from .return_home import count_at_base, end_range, is_away, move_to_base, start_returns, stay
+from .robot_types import came_back, on_turn, own_turn
+from .solo import only_mover, walk_alone
+from .state import ONE, TO_DO, WORD, lowest_bit
 from .visits import enter, is_complete, lose, survive
 
 

@@ -5,32 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from .areas import COMPLETED_EVENT, HIT_EVENT, close, has_area, note
-from .codes import NONE
+from .codes import ACTS, ALL_ROBOTS_LOST, COMPLETE, CUT, DEAD, FOLLOWING, GROUP_SPLITS, HIT, NONE, PASSED
 from .failure_sampling import first_lost
 from .jit import kernel, rare_kernel
 from .map_belief import visit_of
 from .return_home import leave
-from .state import (
-    ACTS,
-    ALL_ROBOTS_LOST,
-    AREA_BITS,
-    AT_STOP,
-    COMPLETE,
-    CUT,
-    DEAD,
-    FAR,
-    FOLLOWING,
-    GROUP_SPLITS,
-    HIT,
-    MOST_COUNTED,
-    ONE,
-    PASSED,
-    SURVIVED,
-    VISITED,
-    drop,
-    holds,
-    put,
-)
+from .state import AREA_BITS, AT_STOP, FAR, MOST_COUNTED, ONE, SURVIVED, VISITED, drop, holds, put
 
 
 @kernel
