@@ -380,7 +380,7 @@ def test_threats_on_a_map_keep_its_value_and_refuse_what_they_contradict(
     np.save("t.npy", threat + 0.1)
     World.create(threat + 0.05).save("v.npz", force=True)
     for keys, named in (
-        ("latent_hazard: {kind: consumed, h: 0.5}", "leave `latent_hazard` and `map_uncertainty` out"),
+        ("latent_hazard: {kind: consumed, h: 0.5}", "leave `latent_hazard` out"),
         ("moving_threats: [{walk: 0.5, h: 0.2}]", "leave `moving_threats` out"),
         ("phases: [{from: 5, threats: [{raster: t.npy}]}]", "leave `phases` out"),
         ("true_map: t.npy\nsensor_range: {range: 2}", "leave `true_map`, `prior_map` and `sensor_range` out"),
