@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from analysis.checking.check import MapCheck, Survey
     from analysis.comparison import Comparison, Side
     from analysis.evaluation.evaluate import Evaluation
-    from analysis.experiments.reproduction import Reproduction
     from analysis.mission_protocol import DrivenMission
     from analysis.policy_evaluation.leaderboard import Suite
     from analysis.policy_evaluation.policy_evaluation import PolicyEvaluation
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
     from analysis.recording.contents import RecordedOutcomes, RecordedRollout
     from analysis.recording.record import Pick, Recorded
     from analysis.recording.replay import Inspection, Replayed
+    from analysis.reproduction import Reproduction
     from analysis.sampling import Exactness, RolloutChoices
     from analysis.search.pareto import Front
     from analysis.search.start_positions import Starts
@@ -987,7 +987,7 @@ def check(
 
 def _reproduction(given: Mapping[str, Any]) -> Reproduction:
     """The paper's experiments. Raises InputError."""
-    from analysis.experiments.reproduction import reproduce
+    from analysis.reproduction import reproduce
     from analysis.sweeps.cases import check_maps
     from analysis.sweeps.store import Store
     from analysis.utils.progress import compiling_elsewhere

@@ -234,14 +234,7 @@ def test_errors_name_arguments_not_options() -> None:
 
 REGISTERED = re.compile(r"app\.command|overload|infer_getattr|lower_getattr_generic|unbox|.*register\w*")
 """Decorators that hand on what they decorate: nobody calls it by its name."""
-NAMED = {
-    "world_with_starts",
-    "cleared_world",
-    "roll_out_readably",
-    "unserialize_library",
-    "closed_rollouts",
-    "step_env",
-}
+NAMED = {"world_with_starts", "cleared_world", "unserialize_library", "closed_rollouts", "step_env"}
 """Used all the same: by who writes Python, by a process that is begun with a line of it, and by Numba."""
 OURS = {"Protocol", "NamedTuple", "Enum", "IntEnum", "Exception", "object"}
 """Bases from elsewhere that call no method of their own accord."""

@@ -71,11 +71,6 @@ class Chance(Estimate):
         return Chance((low + high) / 2, 0.0, (low, high), 0)
 
     @property
-    def known_at_least(self) -> dict[float, Chance] | None:
-        """The probability to cover each fraction of AT_LEAST; None if only the mean is known."""
-        return self.at_least if self.counts.any() else None
-
-    @property
     def share(self) -> str:
         """In percent: "99.7 %"."""
         return f"{self.columns()[0]} %"
@@ -228,6 +223,11 @@ class Covered:
         first, last = max(int(held[0]) - 1, 0), min(int(held[-1]) + 1, self.cells)
         at = np.unique(np.linspace(first, last, CURVE).round().astype(np.int64))
         return at, [self.chance(int(cell)) for cell in at]
+
+    @property
+    def known_at_least(self) -> dict[float, Chance] | None:
+        """The probability to cover each fraction of AT_LEAST; None if only the mean is known."""
+        return self.at_least if self.counts.any() else None
 
     @property
     def share(self) -> Estimate:
