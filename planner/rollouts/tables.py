@@ -431,7 +431,7 @@ def write_mission_state(mission: MissionState, state: State, tables: Tables, cel
         state.known[np.searchsorted(cells, mission.visited)] &= ~np.uint8(OUT)
     survived = np.searchsorted(cells, mission.survived)
     state.home[survived] |= SURVIVED
-    if len(state.passes):
+    if len(state.passes) and not tables.scores:  # a score has no visit before the state
         state.passes[survived] = 1  # the number of earlier visits is not known
     left = np.bincount(state.home[:-1][state.home[:-1] & VISITED == 0] >> AREA_BITS, minlength=len(mission.areas))
     state.areas["left"][: len(left)] = left
