@@ -408,7 +408,7 @@ def test_contradictions_of_a_plan_file(tmp_path: Path, capsys: pytest.CaptureFix
         assert said in error_of(capsys, "evaluate", *words, "--plan", str(file))
     jump = tmp_path / "jump.json"
     jump.write_text('{"paths": [[[0, 1], [0, 4]]]}')
-    assert "robot 0" in error_of(capsys, "evaluate", WORLD, "--plan", str(jump))
+    assert "`paths[0]` jumps" in error_of(capsys, "evaluate", WORLD, "--plan", str(jump))
 
 
 def test_a_plan_made_for_other_robots_than_the_scenario_s_is_noted(
