@@ -653,7 +653,7 @@ WRONG = {
 NEEDS = {name: {"policy": "per_cell"} for name in ("risk_cap", "robot_value", "priority")} | {
     "effort": {"plan_for": "open_loop"}
 }
-NEEDS |= {"recharge": {"range": 9, "return_to": "home"}}
+NEEDS |= {"recharge": {"range": 9, "return_to": "home"}, "deliver_every": {"return_to": "home"}}
 """What else has to be chosen."""
 
 

@@ -854,11 +854,11 @@ def test_the_knee_is_the_best_bargain_between_two_settings() -> None:
 def test_no_advice_on_an_interrupted_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing more is planned or compiled for somebody who pressed Ctrl-C."""
     calls = []
+    safe = mrac.evaluate(mrac.load(np.zeros((5, 5))), 1, rollouts=20_000)
+    assert safe.to_json()["advice"] is None, "nothing is in danger"
     monkeypatch.setattr(Advice, "measure", lambda *given: calls.append(given) or iter(()))
     answer = mrac.evaluate(WORLD_FRONT, rollouts=10**9, progress=after(2), on_interrupt="return")
     assert answer.partial and not calls and answer.to_json()["advice"] is None
-    safe = mrac.evaluate(mrac.load(np.zeros((5, 5))), 1, rollouts=20_000)
-    assert safe.to_json()["advice"] is None, "nothing is in danger"
     assert mrac.evaluate(WORLD_FRONT, rollouts=64, band=False).partial is False and len(calls) == 1
 
 
