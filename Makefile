@@ -73,8 +73,8 @@ format: $(READY)
 	$(BIN)/ruff check --fix .
 
 bench: $(READY)
-	$(BIN)/python -m analysis.bench.engines plans
-	$(BIN)/python -m analysis.bench.engines
+	$(BIN)/python tests/bench.py plans
+	$(BIN)/python tests/bench.py
 
 bench-gpu: $(READY)
 	$(BIN)/python -m mrac_jax.bench

@@ -18,6 +18,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import bench as bench_engines
 import evidence
 import networkx as nx
 import numpy as np
@@ -28,9 +29,6 @@ from helpers import ROOT, run_python
 from open_loop_reference import fixture
 
 import mrac_jax as mrac
-from analysis.bench import engines
-from analysis.bench import engines as race
-from analysis.bench.engines import Contender, naive_rollouts
 from mrac_jax import bench
 from planner.errors import MracError
 from planner.make_plan import make_plan
@@ -94,14 +92,13 @@ def rooms_seen(path: Path) -> set[str]:
 
 
 def test_imports_point_back_along_the_data() -> None:
-    """`mrac_jax` is the door, and the engines that are looked up by name; benchmarks alone race JAX itself."""
+    """`mrac_jax` is the door, and the engines that are looked up by name."""
     allowed = {"planner": {"planner"}, "analysis": {"planner", "analysis"}, "mrac_jax": {*ROOMS, "jax"}}
     for room in ROOMS:
         files = list((ROOT / room).rglob("*.py"))
         assert len(files) > 5
         for path in files:
-            more = {"jax"} if path.parent.name == "bench" else set()
-            assert rooms_seen(path) <= allowed[room] | more, path
+            assert rooms_seen(path) <= allowed[room], path
 
 
 def arrows(of: Callable[[str], str]) -> nx.DiGraph:
@@ -197,7 +194,7 @@ def test_a_report_loads_no_pictures() -> None:
     run_python(code)
 
 
-FACES = ("cli", "studio", "bench", "page")
+FACES = ("cli", "studio", "page")
 """Rooms whose words are those of the command line, or of style sheets."""
 PRINTED = re.compile(
     r"tables?|\w*reports?|page|comparison|threats|leaderboard|policy_evaluation"
@@ -459,11 +456,11 @@ def test_every_engine_has_a_row(
     world = random_world(6, 6)
     plan = make_plan(world, place_starts(world, 2)[0])
     for owner, name, value in (
-        (engines, "cases", lambda: iter([("small", world, plan)])), (engines, "LOOPS", (loop,)),
-        (sys, "argv", ["engines", *asked]), (race, "SECONDS", 0.01),
+        (bench_engines, "cases", lambda: iter([("small", world, plan)])), (bench_engines, "LOOPS", (loop,)),
+        (sys, "argv", ["engines", *asked]), (bench_engines, "SECONDS", 0.01),
     ):  # fmt: skip
         monkeypatch.setattr(owner, name, value)
-    engines.main()
+    bench_engines.main()
     printed = [row.replace(" 1 thread", "").split() for row in capsys.readouterr().out.splitlines()]
     found = [row for row in printed if row[0] == "small"]
     assert [row[2].rstrip(",") for row in found] == rows
@@ -471,12 +468,12 @@ def test_every_engine_has_a_row(
 
 
 def test_engines_that_count_differently_are_not_timed() -> None:
-    def contender(number: int) -> Contender:
+    def contender(number: int) -> bench_engines.Contender:
         tally = Tally.empty(f"{number:064d}", (2, 2), 1, 4)
-        return Contender(f"number {number}", lambda: (lambda count: count, 1, tally))
+        return bench_engines.Contender(f"number {number}", lambda: (lambda count: count, 1, tally))
 
     with pytest.raises(MracError, match="number 1 counts differently"):
-        race.race([contender(0), contender(0), contender(1)])
+        bench_engines.race([contender(0), contender(0), contender(1)])
 
 
 def test_naive_program_agrees_with_the_closed_form() -> None:
@@ -485,7 +482,9 @@ def test_naive_program_agrees_with_the_closed_form() -> None:
     plan, world, numbers = fixture("tiny-6x3-20", 5)
     compiled = compile_plan(plan, world)
     paths = [robot.path[: compiled.last_step + 1] for robot in plan.robots]
-    (visited, survived, _, _), _ = naive_rollouts(paths, world.threat.reshape(-1), 2048)(jax.random.key(1))
+    (visited, survived, _, _), _ = bench_engines.naive_rollouts(paths, world.threat.reshape(-1), 2048)(
+        jax.random.key(1)
+    )
     for found, meaning in ((visited, "visited"), (survived, "survived")):
         error = np.std(found) / np.sqrt(len(found))
         assert abs(np.mean(found) - numbers["open_loop_exact"][meaning]) <= 5 * error

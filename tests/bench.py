@@ -1,4 +1,4 @@
-"""Speed: `python -m analysis.bench.engines [ENGINE ...]`, and `... plans [INPUT ...]` for that of planning.
+"""Speed: `python tests/bench.py [ENGINE ...]`, and `... plans [INPUT ...]` for that of planning.
 
 Full tallies, measured side by side.
 

@@ -1,1 +1,0 @@
-"""Benchmarks: rates of engines, environments and planning, measured side by side."""
