@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from rich.table import Table
 
 from analysis.estimators.trial import closed_truth
 from analysis.report.model import KeyFigure, Report, Section
-from analysis.report.result import Result, json_end
+from analysis.report.result import Result
 from analysis.sampling import RolloutChoices, check_deadline, check_metric, home_of, knowing_deadline, make_singles
 from analysis.statistics.estimates import Estimate, between, exactly, looks, of_all, proportion, robots_text
 from analysis.statistics.variance_reduction import LEAST, CommonThresholds, Difference, Paired, controlled, difference
@@ -26,8 +26,8 @@ from analysis.utils.notes import ProgressCallback
 from analysis.utils.tables import failure_text, make_table, span_text
 from planner.arguments import MOST_ROLLOUTS
 from planner.errors import UsageError
-from planner.files import Json
 from planner.formatting import UNPACED, Pace, counted, in_percent, percent, share
+from planner.json_objects import as_json
 from planner.plan.plan import Plan, is_certain
 from planner.rollouts.closed_loop import MOST_TABLED
 from planner.rollouts.engine import choose_engine, rollouts_per_call, run_ranges
@@ -55,6 +55,22 @@ class Side:
     plan: Plan
     choices: RolloutChoices
     exact: tuple[float, float] | None
+    json_keys = """
+        input=world.source robots=plan.team starts=plan.starts accessible=cells choices.loop threat_checks
+        choices.deadline plan.plan_for plan.settings exact=exact_shares
+    """
+
+    @property
+    def exact_shares(self) -> dict[str, float] | None:
+        """Exact expected coverage, a fraction of the accessible cells; None if it is not known."""
+        if self.exact is None:
+            return None
+        return {figure: self.unit(figure) * value for figure, value in zip(FIGURES[:2], self.exact, strict=True)}
+
+    @property
+    def threat_checks(self) -> str:
+        """The visits that can destroy a robot: "first_visit" or "every_visit"."""
+        return "first_visit" if self.choices.first_only else "every_visit"
 
     @cached_property
     def cells(self) -> int:
@@ -112,6 +128,49 @@ class Comparison(Result):
     by_threshold: tuple[NDArray[np.int64], NDArray[np.int64]] = field(
         default_factory=lambda: (no_counts(), no_counts())
     )
+    json_keys = """
+        answer=headline a a.mean=mean_a b b.mean=mean_b differing=differing_sides rollouts seed=a.choices.seed certain
+        difference=differences exact_difference=exact_differences b_ahead b_behind seconds
+    """
+
+    @property
+    def mean_a(self) -> dict[str, float]:
+        """Means of A by figure; coverage is a fraction of the accessible cells."""
+        return self.means(self.a)
+
+    @property
+    def mean_b(self) -> dict[str, float]:
+        """Means of B by figure; coverage is a fraction of the accessible cells."""
+        return self.means(self.b)
+
+    @property
+    def differing_sides(self) -> dict[str, tuple[str, ...]]:
+        """Descriptions of A and B where they differ; empty if they are equal."""
+        return dict(zip("ab", self.differing, strict=True))
+
+    @property
+    def differences(self) -> dict[str, Difference]:
+        """B - A by figure; coverage is a fraction of the accessible cells."""
+        return {figure: self.difference(figure) for figure in self.figures}
+
+    @property
+    def exact_differences(self) -> dict[str, float | None]:
+        """B - A of expected coverage; None where it is not known exactly."""
+        return {figure: self.exact_difference(figure) for figure in FIGURES[:2]}
+
+    @property
+    def b_ahead(self) -> Estimate:
+        """Share of the rollouts in which B visits a larger fraction."""
+        return proportion(self.ahead, self.rollouts, self.certain)
+
+    @property
+    def b_behind(self) -> Estimate:
+        """Share of the rollouts in which B visits a smaller fraction."""
+        return proportion(self.behind, self.rollouts, self.certain)
+
+    def means(self, side: Side) -> dict[str, float]:
+        """The means of one side by figure."""
+        return {figure: self.mean(side, figure) for figure in self.figures_of(side)}
 
     @property
     def rollouts(self) -> int:
@@ -365,7 +424,7 @@ def report(answer: Comparison) -> Report:
     certain = "no cell on the way of either is dangerous, so every run is the same and 1 rollout is enough"
     return Report(
         "compare", "compare", f"{' and '.join(names)}: which covers more?",
-        headline(answer), lambda: _json(answer), figures=_key_figures(answer),
+        headline(answer), partial(as_json, answer), figures=_key_figures(answer),
         heading=(f"A: {_description(a)}", f"B: {_description(b)}", *[certain] * answer.certain,
                  f"{counted(answer.rollouts, 'rollout')} on common random numbers, seed {a.choices.seed}"),
         took=[f"{rate:,.0f} rollouts a second of both"], parts=[Section("Figures", [_table(answer)], [TABLE_NOTE])],
@@ -483,43 +542,3 @@ def _mean(answer: Comparison, side: Side, figure: str, scale: float) -> str:
         return in_percent(mean, 2)
     robots = len(side.plan.robots)
     return of_all(mean, robots) if figure in ("alive", "home") else f"{scale * mean:.2f}"
-
-
-def _json(answer: Comparison) -> Json:
-    """The JSON object; coverage and its differences are fractions of the accessible cells."""
-    apart = {figure: answer.difference(figure) for figure in answer.figures}
-    return {
-        "answer": headline(answer),
-        "a": _side_json(answer, answer.a),
-        "b": _side_json(answer, answer.b),
-        "differing": dict(zip("ab", answer.differing, strict=True)),
-        "rollouts": answer.rollouts,
-        "seed": answer.a.choices.seed,
-        "certain": answer.certain,
-        "difference": {figure: found.estimate.to_json() | {"gain": found.gain} for figure, found in apart.items()},
-        "exact_difference": {figure: answer.exact_difference(figure) for figure in FIGURES[:2]},
-        "b_ahead": proportion(answer.ahead, answer.rollouts, answer.certain),
-        "b_behind": proportion(answer.behind, answer.rollouts, answer.certain),
-        "seconds": answer.seconds,
-        **json_end(answer),
-    }
-
-
-def _side_json(answer: Comparison, side: Side) -> Json:
-    plan, choices = side.plan, side.choices
-    exact = side.exact and {
-        figure: side.unit(figure) * value for figure, value in zip(FIGURES[:2], side.exact, strict=True)
-    }
-    return {
-        "input": side.world.source,
-        "robots": len(plan.robots),
-        "starts": plan.starts,
-        "accessible": side.cells,
-        "loop": choices.loop,
-        "threat_checks": "first_visit" if choices.first_only else "every_visit",
-        "deadline": choices.deadline,
-        "plan_for": plan.plan_for,
-        "settings": plan.settings,
-        "mean": {figure: answer.mean(side, figure) for figure in answer.figures_of(side)},
-        "exact": exact,
-    }

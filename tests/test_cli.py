@@ -380,7 +380,7 @@ def test_threats_on_a_map_keep_its_value_and_refuse_what_they_contradict(
     np.save("t.npy", threat + 0.1)
     World.create(threat + 0.05).save("v.npz", force=True)
     for keys, named in (
-        ("latent_hazard: {kind: consumed, h: 0.5}", "leave `latent_hazard` and `map_uncertainty` out"),
+        ("latent_hazard: {kind: consumed, h: 0.5}", "leave `latent_hazard` out"),
         ("moving_threats: [{walk: 0.5, h: 0.2}]", "leave `moving_threats` out"),
         ("phases: [{from: 5, threats: [{raster: t.npy}]}]", "leave `phases` out"),
         ("true_map: t.npy\nsensor_range: {range: 2}", "leave `true_map`, `prior_map` and `sensor_range` out"),
@@ -408,7 +408,7 @@ def test_contradictions_of_a_plan_file(tmp_path: Path, capsys: pytest.CaptureFix
         assert said in error_of(capsys, "evaluate", *words, "--plan", str(file))
     jump = tmp_path / "jump.json"
     jump.write_text('{"paths": [[[0, 1], [0, 4]]]}')
-    assert "robot 0" in error_of(capsys, "evaluate", WORLD, "--plan", str(jump))
+    assert "`paths[0]` jumps" in error_of(capsys, "evaluate", WORLD, "--plan", str(jump))
 
 
 def test_a_plan_made_for_other_robots_than_the_scenario_s_is_noted(

@@ -118,7 +118,7 @@ def check_rules(trace: Trace, world: World, plan: Plan, found: list[dict[int, tu
 def check_way_home(trace: Trace, robot: int, turned: int, way: dict[int, tuple[int, int]], charged: set[int]) -> None:
     """From where it turned a robot goes home and nowhere else, and stays there, at least until it is charged."""
     cells, doing = trace.cells[:, robot].tolist(), trace.doing[:, robot].tolist()
-    for step in range(turned + 1, trace.time):
+    for step in range(turned, trace.time):
         if step + 1 in charged or doing[step] == Doing.DEAD:
             return
         before, after = cells[step], cells[step + 1]

@@ -228,7 +228,7 @@ def test_arrays_that_are_no_hazard_and_no_maps() -> None:
         TINY.with_latent_hazard("consumed", 1.0)
     with pytest.raises(InputError, match="maps is empty"):
         TINY.with_maps([])
-    with pytest.raises(InputError, match=r"maps\[1\]: has other obstacles"):
+    with pytest.raises(InputError, match=r"maps\[1\] has other obstacles"):
         TINY.with_maps([TINY.threat, np.where(np.eye(2, 3) > 0, np.nan, 0.1)])
     with pytest.raises(InputError, match="amount=nan; expected a standard deviation"):
         TINY.with_spread("lognormal", float("nan"))

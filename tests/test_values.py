@@ -28,13 +28,13 @@ import mrac_jax as mrac
 from analysis.estimators.trial import mean_value
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.value import Units, found_chances, value_table
-from analysis.report.result import as_json
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import Estimate, tail_mean, times_to
 from analysis.statistics.variance_reduction import LEAST, CommonThresholds
 from analysis.theory.exact import CellValues, open_loop_found
 from planner.errors import RenamedWarning, WorldError
 from planner.formatting import percent
+from planner.json_objects import as_json
 from planner.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.plan.plan import Plan
@@ -179,7 +179,7 @@ def test_search_and_clearance_are_the_same_numbers() -> None:
     answer = mrac.evaluate(world, plan, loop="open", rollouts=4096, band=False)
     value = answer.outputs.get("value")
     assert value is not None
-    said = as_json(value.as_json())
+    said = as_json(value)
     found, shares = open_loop_found(plan, world), world.value.ravel()
     assert said["search"]["success"] == pytest.approx(shares @ found)  # chances: they add up to less than 1
     assert said["search"]["success"] == pytest.approx(said["search"]["containment"] * said["search"]["detection"])

@@ -36,6 +36,7 @@ from planner.rollouts.exact_tree import CHEAP, WHOLE, Tree, grow_tree
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.tables import AllPairs
 from planner.rollouts.threshold_classes import classes_by_threshold
+from planner.simulator.jit import INTERPRETED
 from planner.simulator.state import MOST_PASSES, Counts
 from planner.tally import RolloutResults, Tally
 from planner.world.world import World
@@ -46,6 +47,8 @@ SLACK = 1e-4
 """Largest uncertainty of a mean, a fraction of the cells, that counts as exact."""
 EFFORT = 3e8
 """Histories of a tree times cells that take about a second; a fixed amount of work, the same on every machine."""
+AS_PYTHON = 1000
+"""A history takes that much longer where the simulator runs as Python (`NUMBA_DISABLE_JIT=1`)."""
 LARGE = 8
 """Robots above which a history takes longer: by their number, and by its cube if they return to base (64: 366 times) or
 have a limited radio range (35: 40 times)."""
@@ -132,6 +135,7 @@ def tree_of(loop: ClosedLoop, seconds: float, slack: float = SLACK, fine_seconds
     """
     cells = loop.accessible
     slower = max(loop.robots / LARGE, 1.0) ** (3 if loop.comes_home or len(loop.tables.reach) else 1)
+    slower *= AS_PYTHON if INTERPRETED else 1
     most, cheap = (
         max(int(time * EFFORT / cells / slower), 2) if cells <= MOST_CELLS else 2 for time in (seconds, fine_seconds)
     )

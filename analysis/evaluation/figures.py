@@ -119,6 +119,7 @@ class AtHome(Estimate):
     """Robots that have returned at the end, alive. `at_least`: the probability of at least 0, 1, ..., K of them."""
 
     at_least: tuple[Chance, ...]
+    json_keys = "robots at_least=chances"
 
     @classmethod
     def of(cls, counts: NDArray[np.int64], certain: bool) -> Self:
@@ -149,9 +150,10 @@ class AtHome(Estimate):
         shown = range(self.robots, 0, -1) if self.robots <= MOST_LISTED else sorted(few, reverse=True)
         return {least: self.at_least[least] for least in shown}
 
-    def to_json(self) -> Json:
-        chances = {str(least): chance.to_json() for least, chance in enumerate(self.at_least) if least}
-        return super().to_json() | {"robots": self.robots, "at_least": chances}
+    @property
+    def chances(self) -> dict[int, Chance]:
+        """The probability that at least 1, ..., K robots have returned."""
+        return dict(enumerate(self.at_least[1:], start=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +171,7 @@ class Covered:
     mean: Estimate
     certain: bool
     known: Callable[[int], tuple[float, float]] | None = None
+    json_keys = "*share quantiles=quantile_shares at_least=known_at_least"
 
     @classmethod
     def of_tree(cls, tree: Tree, meaning: str) -> Self:
@@ -221,14 +224,20 @@ class Covered:
         at = np.unique(np.linspace(first, last, CURVE).round().astype(np.int64))
         return at, [self.chance(int(cell)) for cell in at]
 
-    def to_json(self) -> Json:
-        """Fractions of the accessible cells."""
-        return self.mean.times(1.0 / self.cells).to_json() | {
-            "quantiles": {f"{q:g}": value * (1.0 / self.cells) for q, value in self.quantiles.items()},
-            "at_least": {f"{x:g}": chance.to_json() for x, chance in self.at_least.items()}
-            if self.counts.any()
-            else None,
-        }
+    @property
+    def known_at_least(self) -> dict[float, Chance] | None:
+        """The probability to cover each fraction of AT_LEAST; None if only the mean is known."""
+        return self.at_least if self.counts.any() else None
+
+    @property
+    def share(self) -> Estimate:
+        """The mean, a fraction of the accessible cells."""
+        return self.mean.times(1.0 / self.cells)
+
+    @property
+    def quantile_shares(self) -> dict[float, float]:
+        """Quantiles, fractions of the accessible cells; NaN if the rollouts are too few."""
+        return {q: value * (1.0 / self.cells) for q, value in self.quantiles.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -395,9 +404,10 @@ class Figures:
             known = replace(known, visited=visited, survived=survived, complete=complete, assured=least)
         return known if time is None or not math.isfinite(time) else replace(known, time=exactly(time))
 
-    def coverage_json(self) -> Json:
-        """Coverage in each meaning."""
-        return {meaning: getattr(self, meaning).to_json() for meaning in self.meanings}
+    @property
+    def coverage(self) -> dict[str, Covered]:
+        """Coverage by meaning."""
+        return {meaning: getattr(self, meaning) for meaning in self.meanings}
 
     @property
     def meanings(self) -> tuple[str, ...]:
@@ -625,7 +635,7 @@ class Output(ABC):
     def measure(cls, asked: Any, run: Run) -> Iterator[Self]:
         """Yield the output, possibly first in part; each replaces the one before. `asked`: the option's value."""
 
-    def as_json(self) -> object:
+    def to_json(self) -> object:
         """Its value in the JSON object; None: omitted."""
         return None
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from analysis.estimators.racing import Search
 from analysis.estimators.trial import Measured, Trial
-from analysis.report.result import Searched
+from analysis.report.result import Searched, cell_counts
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import TARGETS, Estimate, error_share, exactly, is_at_least, looks
 from analysis.theory.exact import CellValues
@@ -229,6 +229,10 @@ class TeamPoint:
     alive: Estimate | None = None
     exact: bool = False
     value: Estimate | None = None
+    json_keys = """
+        robots verdict coverage chance time alive rollouts verdict_interval=interval exact
+        ideal.coverage=ideal_coverage ideal.chance=ideal_chance value?
+    """
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -253,6 +257,25 @@ class TeamSize(Searched):
     robots: int | None
     alpha: float
     confirmed: TeamPoint | None = None
+    json_keys = """
+        goal.target goal.confidence goal.complete goal.meaning goal.most deadline robots starts=enough_starts
+        undecided not_looked_at=passed_over curve=points confirmed cells=cell_counts choices.loop
+    """
+
+    @property
+    def enough_starts(self) -> NDArray[np.int64] | None:
+        """Start cells `[row, col]` of the smallest team that is enough; None without one."""
+        return None if self.robots is None else self.starts[: self.robots]
+
+    @property
+    def undecided(self) -> tuple[int, ...]:
+        """Teams that are undecided and may still be the smallest."""
+        return self.of(TeamVerdict.UNDECIDED)
+
+    @property
+    def cell_counts(self) -> dict[str, int]:
+        """Numbers of cells: total, free, accessible, dangerous, and needed for the target."""
+        return cell_counts(self.world, self.world.accessible(self.starts)) | {"needed": self.needed}
 
     def of(self, verdict: TeamVerdict) -> tuple[int, ...]:
         """The teams with this verdict that may still be the smallest: those below the one found, if there is one."""

@@ -344,6 +344,7 @@ class Difference:
 
     estimate: Estimate
     gain: float
+    json_keys = "*estimate gain"
 
 
 class CommonThresholds(NamedTuple):

@@ -284,7 +284,7 @@ def closed_state(state: MissionState, world: World, levels: int) -> MissionState
             areas.append(AreaState(int(level_of[part[0]]), robot, what, part))
     robots = tuple(_still(robot, own.get(number, NO_AREA), areas, kept) for number, robot in enumerate(state.robots))
     visited, survived = (cells[kept[cells]] for cells in (state.visited, state.survived))
-    covered = {"visited": visited, "survived": survived, "areas": tuple(areas)}
+    covered: dict[str, Any] = {"visited": visited, "survived": survived, "areas": tuple(areas)}
     return replace(state, sha256=world.sha256, robots=robots, quiet=0, **covered)
 
 

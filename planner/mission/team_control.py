@@ -43,7 +43,7 @@ class Fleet(SingleRun):
         """Args: `last_update`: begin of the last announced phase that changes the map, 0: none."""
         super().__init__(compile_closed_loop(plan, problem.world, problem=problem, interpreted=True))
         # A visit may destroy a robot in any cell: it counts as survived only once that is reported.
-        phases = {"phases": np.zeros(1, dtype=np.int64), "phased": True, "last_update": last_update}
+        phases: dict[str, Any] = {"phases": np.zeros(1, dtype=np.int64), "phased": True, "last_update": last_update}
         self.t = self.t._replace(bound=np.zeros_like(self.t.bound), notes=None, **phases)
         self.problem, self.gain, self.aside = problem, gain, set[int]()
         # A resumed state may be complete already, before any step.

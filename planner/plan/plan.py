@@ -173,6 +173,11 @@ class Plan:
         return "plan for the open loop" if self.for_open_loop else "external plan"
 
     @property
+    def team(self) -> int:
+        """Number of robots."""
+        return len(self.robots)
+
+    @property
     def starts(self) -> NDArray[np.int64]:
         """(row, col) of each robot at t = 0 (or in the state), int64 `[K, 2]`."""
         return np.array([divmod(int(robot.path[0]), self.shape[1]) for robot in self.robots], dtype=np.int64)

@@ -59,7 +59,7 @@ def with_features(tables: Tables) -> Tables:
 
 def typed(given: Arrays) -> Arrays:
     """The named tuple with contiguous, writable arrays: the types that programs are compiled for."""
-    arrays = (np.require(one, requirements="CAW") if isinstance(one, np.ndarray) else one for one in given)
+    arrays = (np.require(one, requirements=["C", "A", "W"]) if isinstance(one, np.ndarray) else one for one in given)
     return type(given)(*arrays)
 
 

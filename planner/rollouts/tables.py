@@ -395,7 +395,7 @@ def write_mission_state(mission: MissionState, state: State, tables: Tables, cel
         state.known[np.searchsorted(cells, mission.visited)] &= ~np.uint8(OUT)
     survived = np.searchsorted(cells, mission.survived)
     state.home[survived] |= SURVIVED
-    if len(state.passes):
+    if len(state.passes) and not tables.scores:  # a score has no visit before the state
         state.passes[survived] = 1  # the number of earlier visits is not known
     # A mission that knows what is delivered; cells closed since are no longer counted.
     if mission.delivered is not None:
