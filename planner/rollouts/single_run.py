@@ -215,8 +215,10 @@ class SingleRun:
 
     def _count_moves(self) -> None:
         """Make `until` the moves left of robots that have stopped moving; of a moving robot it is a turn."""
+        if self._moved.tobytes() == self.raw.movers.tobytes():  # in most steps
+            return
         stopped = self._moved & ~(self.raw.movers | self.raw.waiting)
-        for robot in range(self.loop.robots if stopped.any() else 0):
+        for robot in range(self.loop.robots):
             if holds(stopped, robot):
                 self.raw.robots["until"][robot] -= self._turns(robot)
         self._moved = self.raw.movers.copy()
