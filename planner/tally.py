@@ -65,14 +65,8 @@ OF_CLOSED_LOOP = tuple(outcome for outcome in Outcome if outcome is not Outcome.
 """Outcomes of closed-loop rollouts."""
 
 
-OPTIONAL = {
-    "bisected": np.int32,
-    "divided": np.int32,
-    "home": np.int32,
-    "delivered": np.int32,
-    "worth_covered": np.int64,
-    "worth_found": np.int64,
-}
+OPTIONAL: dict[str, Any] = dict.fromkeys(("bisected", "divided", "home", "delivered"), np.int32)
+OPTIONAL |= dict.fromkeys(("worth_covered", "worth_found"), np.int64)
 """Columns of `RolloutResults` that may be missing."""
 
 

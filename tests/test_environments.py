@@ -251,7 +251,7 @@ def test_the_first_offers_of_a_rule_are_its_closed_loop(policy: Policy) -> None:
         plan = make_plan(there, place_starts(there, 4)[0], Settings(policy=policy))
         loop = PythonLoop(plan, there)
         for rollout in range(2):
-            run = ChosenRun(loop, seed, rollout)
+            run = ChosenRun(loop, seed, rollout, traced=True)
             run.go_on()
             while run.decision is not None:
                 run.go_on(0)
@@ -273,7 +273,7 @@ def test_rollouts_of_one_loop_may_go_on_in_turn(rule: str) -> None:
         run.go_on(int(draw.integers(last + 1)) if last >= 0 and draw.random() < 0.8 else None)
 
     def begun(rollout: int) -> tuple[ChosenRun, np.random.Generator]:
-        return ChosenRun(loop, 8, rollout), np.random.default_rng(rollout)
+        return ChosenRun(loop, 8, rollout, traced=True), np.random.default_rng(rollout)
 
     in_turn, asked = [begun(rollout) for rollout in range(5)], 0
     while left := [one for one in in_turn if one[0].outcome is None]:

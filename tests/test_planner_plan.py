@@ -65,11 +65,8 @@ def test_own_allocation_of_one_robot_is_the_fixtures() -> None:
 def test_the_last_step_leaves_time_for_the_paths_that_are_followed_first() -> None:
     """8 x levels x accessible cells + 64, and the moves of the longest path given, waits among them."""
     world = World.create([[0.0, 0.1, 0.3, 0.0, np.nan, 0.0]])
-    for paths, more in (
-        ((), 0),
-        ((np.array([0]), np.array([3])), 0),
-        ((np.array([0, 1, 1]), np.array([3, 2, 2, 2])), 3),
-    ):
+    given = (), (np.array([0]), np.array([3])), (np.array([0, 1, 1]), np.array([3, 2, 2, 2]))
+    for paths, more in zip(given, (0, 0, 3), strict=True):
         assert prepare(world, [[0, 0], [0, 3]], Settings(), paths).max_steps == 8 * 3 * 4 + 64 + more
 
 
@@ -334,11 +331,8 @@ def test_a_search_kept_inside_does_not_answer_for_the_open_grid() -> None:
 
 def test_one_dangerous_cell_outweighs_every_safe_one() -> None:
     levels = find_levels(World.create([[0.0, 0.1, 0.25]]).threat, np.ones((1, 3), bool), 16)
-    assert entry_costs(levels, "paper").tolist() == [
-        1,
-        3,
-        int(np.floor(3 * np.float64(np.float32(0.25)) / np.float64(np.float32(0.1)) + 0.5)),
-    ]
+    share = np.float64(np.float32(0.25)) / np.float64(np.float32(0.1))
+    assert entry_costs(levels, "paper").tolist() == [1, 3, int(np.floor(3 * share + 0.5))]
     log = entry_costs(levels, "log")
     assert log.tolist() == [1, 3, int(np.floor(3 * np.log(0.75) / np.log1p(-np.float64(np.float32(0.1))) + 0.5))]
 
@@ -532,6 +526,7 @@ def part(*indices: int) -> Area:
     return Area(0, -1, cells(*indices))
 
 
+APART = {1: {"cells": cells(0, 1, 12)}, 2: {"cells": cells(6, 7, 13, 14)}}
 LONG_COVER = {0: (Leg("cover", 1, 0, 0, 4), Leg("cover", 4, 0, 4, 5))}
 
 FAULTS: list[tuple[str, Plan, int | None, int | None, tuple[int, int] | None]] = [
@@ -562,13 +557,7 @@ FAULTS: list[tuple[str, Plan, int | None, int | None, tuple[int, int] | None]] =
     ("partition", planted(area={1: {"cells": cells(0, 1)}}), None, None, (1, 1)),
     ("partition", planted(area={1: {"cells": cells(0, 1, 6, 7)}}), None, None, (1, 0)),
     ("partition", planted(area={0: {"cells": cells(2, 4)}}), None, None, (0, 4)),
-    (
-        "area-connected",
-        planted(area={1: {"cells": cells(0, 1, 12)}, 2: {"cells": cells(6, 7, 13, 14)}}),
-        None,
-        None,
-        (2, 0),
-    ),
+    ("area-connected", planted(area=APART), None, None, (2, 0)),
     ("area-whole", planted(area={2: {"robot": -1}}), None, None, (1, 0)),
     ("area-order", planted(areas=tuple(good_plan().areas[i] for i in (0, 2, 1))), None, None, (0, 0)),
     ("level-zero", planted(area={0: {"level": 0}}), None, None, (0, 2)),

@@ -53,14 +53,8 @@ KINDS: list[dict[str, Any]] = [
     {"return_to": "nearest", "transit": "area", "range": 50},
     {"return_to": "home", "range": 30, "recharge": 4},
     {"return_to": "nearest", "deliver_every": 6, "policy": "per_cell"},
-    {
-        "return_to": "nearest",
-        "range": (25, 40, 60),
-        "recharge": 7,
-        "deadline": 140,
-        "policy": "per_cell",
-        "robot_value": 20.0,
-    },
+    {"return_to": "nearest", "range": (25, 40, 60), "recharge": 7, "deadline": 140}
+    | {"policy": "per_cell", "robot_value": 20.0},
 ]
 
 

@@ -151,9 +151,10 @@ class ChosenRun:
         decision: the choice that the next step needs; None before the first `go_on`, and at the end.
     """
 
-    def __init__(self, loop: PythonLoop, seed: int, rollout: int) -> None:
-        """A rollout of the loop before its first step."""
+    def __init__(self, loop: PythonLoop, seed: int, rollout: int, *, traced: bool = False) -> None:
+        """A rollout of the loop before its first step; `traced`: keep its steps for `now.trace`."""
         self.now = loop.begin(seed, rollout)
+        self.now.records = traced
         self.decision: Decision | None = None
         self._chooser = _Chooser(self.now, loop.problem)
         self.now.t = self.now.t._replace(asks=self._chooser, notes=self._chooser)
