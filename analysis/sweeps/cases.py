@@ -109,7 +109,7 @@ class Written:
 
 
 RULES = "rules"
-"""Label of runs whose rules changed between releases (`planned_map`), and of their earlier versions."""
+"""Label of runs whose rules changed between releases (`rules_of`), and of their earlier versions."""
 REMEMBERED = 4
 """Number of worlds that `Places` caches: the next case is mostly another team in the same world."""
 Label = str | int | float | bool | None
