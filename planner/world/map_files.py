@@ -420,7 +420,8 @@ def read_movingai(path: Path) -> Grid:
     with library_errors("cannot be read", path, expected):
         lines = path.read_bytes().removeprefix(codecs.BOM_UTF8).splitlines()
     header = [line.decode("latin-1").split() for line in lines[:10]]
-    start, sides = header.index(["map"]) + 1 if ["map"] in header else 0, {}
+    start = header.index(["map"]) + 1 if ["map"] in header else 0
+    sides: dict[str, int] = {}
     for number, words in enumerate(header[:start], start=1):
         # Nine digits at most: the product is compared with the size of the file.
         is_side = re.fullmatch(r"(height|width) [1-9][0-9]{0,8}", " ".join(words))
