@@ -24,7 +24,7 @@ from planner.errors import MapError, UsageError
 from planner.files import Json, atomic_write, check_new, printable
 from planner.formatting import SPEEDS
 from planner.plan.plan import DECIMALS, Plan, headings, last_move, waypoints_csv
-from planner.world.grid import TURN, Frame, Georeference, near, principal
+from planner.world.frame import TURN, Frame, Georeference, near, principal
 from planner.world.raster_bands import affine
 from planner.world.world import World
 

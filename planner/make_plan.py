@@ -24,7 +24,7 @@ from planner.simulator.searches import NOT_WANTED, UNREACHED
 from planner.simulator.thresholds import MOST
 from planner.tally import Trace
 from planner.world.levels import NO_LEVEL
-from planner.world.planned_map import as_planned
+from planner.world.start_rule import as_planned
 from planner.world.world import World
 
 MEDIUM, LARGE = 2**10, 2**18

@@ -13,7 +13,7 @@ from planner.make_plan import confirm_plan, make_plan
 from planner.plan.plan import FORMAT, Plan
 from planner.plan.plan_file import parse_plan, read_plan_json
 from planner.settings import Settings
-from planner.world.planned_map import BEFORE, as_before, rules_of
+from planner.world.start_rule import BEFORE, as_before, rules_of
 from planner.world.world import World
 
 KEPT_READING = (

@@ -135,7 +135,7 @@ def test_a_scenario_brings_its_team(tmp_path: Path) -> None:
 
 WORLD = np.full((3, 4), 0.1)
 WRONG = {
-    "ragged": (lambda world, plan: mrac.load([[0.1, 0.2], [0.3]]), "rows of different lengths"),
+    "ragged": (lambda world, plan: mrac.load([[0.1, 0.2], [0.3]]), "in rows of one length"),
     "name": (lambda world, plan: mrac.plan("example:paper"), "world='example:paper'; expected a World"),
     "array": (lambda world, plan: mrac.evaluate(WORLD), "world=array"),
     "size": (lambda world, plan: mrac.size(WORLD, target=0.5), "expected a World"),

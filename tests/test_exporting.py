@@ -25,7 +25,7 @@ from analysis.cli.options import COMMANDS
 from analysis.exporting import FORMATS, cut_area, cut_line, outlines, straight_runs
 from planner.errors import InputError, MapError, PlanError, UsageError
 from planner.plan.plan import Plan, RobotPlan
-from planner.world.grid import Georeference
+from planner.world.frame import Georeference
 from planner.world.world import World
 
 KML, GPX = "{http://www.opengis.net/kml/2.2}", "{http://www.topografix.com/GPX/1/1}"

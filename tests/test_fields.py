@@ -16,7 +16,7 @@ from test_geo import polygon, write
 
 import mrac_jax as mrac
 from planner.errors import InputError
-from planner.world.grid import Frame, reproject
+from planner.world.frame import Frame, reproject
 from planner.world.scenario import load_input
 from planner.world.vector_files import touched
 from planner.world.world import World
@@ -150,7 +150,7 @@ NAN = '{"type": "Polygon", "coordinates": [[[0, 0], [NaN, 0], [1, 1]]]}'
         ("f.csv", "lon,lat\n8,200\n9,1\n9,2\n", 10, "line 2: latitude stands first, as in 8, 200: 200 is no latitude"),
         ("f.csv", "lon,lat\n8,20\n12,20\n12,22\n", 10, "a field of at most 3 degrees"),
         ("f.csv", "0,0\n1e6,0\n1e6,1e6\n", 0.5, "expected at most 67108864; give larger cells"),
-        ("f.csv", "0,0\n4,0\n4,4\n", 10, "no cell of 10 m lies whole in the field of 4 x 4 m; give smaller cells"),
+        ("f.csv", "0,0\n4,0\n4,4\n", 10, "no cell of 10 m lies in the field of 4 x 4 m; give smaller cells"),
     ],
 )
 def test_what_is_no_field(tmp_path: Path, name: str, text: str, cell_size: float, said: str) -> None:
@@ -267,7 +267,7 @@ def test_a_field_whose_latitude_stands_first(tmp_path: Path) -> None:
             load_input(geojson(tmp_path / "f.geojson", [ring]), 10)
     world = load_input(geojson(tmp_path / "f.geojson", [[[y, x] for x, y in degrees(RECTANGLE)]]), 20)
     assert any("metres east and north of 8 N 47.5 E" in note for note in world.notes)
-    with pytest.raises(InputError, match=r"whole in the field of .* at 8 N 47\.5 E; .*swap latitude and longitude"):
+    with pytest.raises(InputError, match=r"in the field of .* at 8 N 47\.5 E; .*swap latitude and longitude"):
         load_input(tmp_path / "f.geojson", 500)
 
 

@@ -27,7 +27,7 @@ from test_rasters import tif
 
 from analysis.recording.contents import read_world
 from planner.errors import InputError, MapError, ScenarioError, WorldError
-from planner.world.grid import Frame, Georeference, around, reproject, utm_zone
+from planner.world.frame import Frame, Georeference, around, reproject, utm_zone
 from planner.world.raster_files import Raster, read_raster
 from planner.world.scenario import load_input
 from planner.world.world import World, load_world_file
@@ -283,7 +283,7 @@ def test_coordinates_that_contradict(tmp_path: Path) -> None:
     with pytest.raises(MapError, match="mixes longitude and latitude with other coordinates"):
         load_input(scenario(tmp_path, threats=[{"polygons": "a.geojson"}]))
     geojson(tmp_path, [[2.0, 48.0], [2.1, 48.0], [2.1, 48.1234567]])
-    with pytest.raises(ScenarioError, match="look like longitude and latitude"):
+    with pytest.raises(ScenarioError, match=r"at 51\.9991 N 15\.0022 E"):
         load_input(scenario(tmp_path, threats=[{"polygons": "a.geojson"}]))
     geojson(tmp_path, degrees, crs={"type": "name", "properties": {"name": "EPSG:999999"}})
     with pytest.raises(MapError, match=r"a\.geojson: no way from the CRS 'EPSG:999999'"):
@@ -400,8 +400,8 @@ def test_latitude_first_is_said(tmp_path: Path, name: str, text: str, place: str
     for head, words in (
         (f"lon,lat,strength\n{north},{east},0.1\n", r"p\.csv: latitude stands first"),
         (f"lat,lon,strength\n{-122.5},{37.5},0.1\n", r"line 2: latitude stands first, as in 37\.5, -122\.5"),
-        (f"x,y,strength\n{north},{east},0.1\n", "name the columns lat and lon"),
-        (f"x,y,strength\n{east},{north},0.1\n", "name the columns lon and lat"),
+        (f"x,y,strength\n{north},{east},0.1\n", "in columns named lon and lat"),
+        (f"x,y,strength\n{east},{north},0.1\n", "in columns named lon and lat"),
     ):
         (tmp_path / "p.csv").write_text(head)
         with pytest.raises(InputError, match=words):
@@ -571,7 +571,7 @@ def test_coordinates_that_are_wrong(folder: Path, kind: str) -> None:
         write(folder / name, [multi_vectors(*map(polygon, rings))], [0.25], "EPSG:4326")
         assert f"a point at longitude {good[0, 0]:g}, latitude {good[0, 1]:g}" in wrong(folder, name)
     write(folder / name, [multi_vectors(polygon(good))], [0.25], "EPSG:32632")
-    assert "threatens nothing" in wrong(folder, name)
+    assert "covers no cell" in wrong(folder, name)
     write(folder / name, [multi_vectors(polygon(np.where(good == good[0, 0], 1e300, good)))], [0.25])
     assert "wrong coordinates" in wrong(folder, name)
 

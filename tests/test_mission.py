@@ -28,8 +28,7 @@ from planner.settings import Settings
 from planner.simulator.codes import NO_AREA, Doing, EventKind, Outcome
 from planner.tally import Trace
 from planner.world.generate import Stream, ThreatPattern, random_world
-from planner.world.planned_map import as_planned
-from planner.world.start_rule import place_starts
+from planner.world.start_rule import as_planned, place_starts
 from planner.world.world import World
 
 # The mission: luck that answers its orders makes the closed loop; what robots do against orders breaks nothing.

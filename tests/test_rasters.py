@@ -15,7 +15,7 @@ import yaml
 from numpy.typing import NDArray
 
 from planner.errors import InputError, MapError, ScenarioError
-from planner.world.grid import degree_sides
+from planner.world.frame import degree_sides
 from planner.world.raster_bands import AMOUNTS
 from planner.world.raster_files import jacksboro, read_elevation, read_raster, square_metres
 from planner.world.scenario import load_input
@@ -625,8 +625,8 @@ HEADER = "x_m,y_m,counts,rate_cps\n"
         (HEADER + "1,1,2,nan\n", {}, "line 2: strength is 'nan'"),
         (HEADER + "1,1,2,-3\n", {}, "values must not be negative"),
         (HEADER + "1,1,2,3\n", {"rule": None}, "gives p = 3"),
-        (HEADER + "600000,1,2,3\n", {}, "lie off the map"),
-        (HEADER + "11.57549,48.13743,2,3\n", {}, "look like longitude and latitude"),
+        (HEADER + "600000,1,2,3\n", {}, "and the map is 30 x 20 m from (0, 0)"),
+        (HEADER + "11.57549,48.13743,2,3\n", {}, "reproject it into metres of the map's frame"),
         ("lon,lat,rate_cps\n11.5,48.1,3\n", {}, "expected x, y in metres"),
         (HEADER + "1,1,2,3\n" * 131_073, {}, "at most 131072 points"),
         (HEADER + "".join(f"{n % 64}.5,{n // 64}.5,2,3\n" for n in range(2100)), {}, "up to 2048"),

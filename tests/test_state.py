@@ -404,7 +404,7 @@ def test_times_of_several_zones_and_times_that_are_none(tmp_path: Path) -> None:
 
 
 def test_tracks_on_a_georeferenced_map_may_be_in_degrees(tmp_path: Path) -> None:
-    from planner.world.grid import around
+    from planner.world.frame import around
 
     world = World.create(LAND, cell_size=2.0, origin=(10.0, 20.0, 0.0), georeference=around(52.0, 8.0))
     assert world.georeference is not None

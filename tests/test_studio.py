@@ -34,7 +34,7 @@ from planner.errors import InputError
 from planner.formatting import Pace
 from planner.make_plan import make_plan
 from planner.settings import Settings
-from planner.world.grid import Georeference
+from planner.world.frame import Georeference
 from planner.world.scenario import load_input
 from planner.world.world import World, load_world_file
 

@@ -18,10 +18,10 @@ from PIL import Image
 import planner.world.points
 import planner.world.vector_files
 from planner.errors import InputError, MapError, ScenarioError
-from planner.world.grid import Frame
-from planner.world.points import inside, point_threat, read_points
+from planner.world.frame import Frame
+from planner.world.points import inside, point_spreads, read_points
 from planner.world.raster_files import slope_degrees, visible
-from planner.world.robot_types import independent
+from planner.world.robot_types import Thing, combined
 from planner.world.scenario import load_input
 from planner.world.world import World
 
@@ -165,6 +165,19 @@ def test_generated_threats_count_the_free_cells(tmp_path: Path) -> None:
     assert set(np.unique(threat[threat > 0])) == {np.float32(0.1), np.float32(0.2)}
 
 
+WRONG_RULES = (
+    ({"kind": "lineal", "scale": 1}, "did you mean 'linear'"),
+    ({"kind": "linear"}, "`threats[0].rule.scale` is missing"),
+    ({"kind": "linear", "scale": 1, "rate": 2}, "unknown key `threats[0].rule.rate`"),
+    ({"kind": "linear", "scale": 0}, "`threats[0].rule.scale` is 0"),
+    *(({"kind": "exposure", "rate": rate}, f"`threats[0].rule.rate` is {rate}") for rate in (math.nan, -1, True)),
+    ({"kind": "classes", "edges": [2, 1], "p": [0, 0, 0]}, "increasing numbers"),
+    ({"kind": "classes", "edges": [1, 2], "p": [0, 0.1]}, "3 probabilities 0 <= p < 1"),
+    *(({"kind": "classes", "edges": [1], "p": [0, p]}, f"`threats[0].rule.p[1]` is {p}") for p in (1, -0.1)),
+    ({"kind": "classes", "edges": "1", "p": [0, 0.1]}, "`threats[0].rule.edges`"),
+)
+
+
 @pytest.mark.parametrize(
     ("source", "names"),
     [
@@ -178,36 +191,28 @@ def test_generated_threats_count_the_free_cells(tmp_path: Path) -> None:
         ("fire", "`threats[0]` is 'fire'"),
         ({"points": "scenario.yaml"}, "falloff"),
         ({"points": "scenario.yaml", "falloff": {"kind": "cone", "radius": 1}}, "falloff.kind` is 'cone'"),
-        ({"points": "scenario.yaml", "falloff": {"kind": "disc", "radius": 0}}, "falloff.radius` is 0"),
+        *(
+            ({"points": "scenario.yaml", "falloff": {"kind": kind, "radius": radius}}, "falloff.radius` is ")
+            for kind in ("disc", "gaussian")
+            for radius in (0, 1e300, 1e308, 1e-320, 1e10)
+        ),
         ({"layer": "scenario.yaml", "scale": 0}, "scale` is 0"),
         ({"viewshed": {"sites": [[0, 0]], "range": 5, "p": 0.1}}, "needs heights"),
-        ({"raster": "r.npy", "rule": {"kind": "lineal", "scale": 1}}, "did you mean 'linear'"),
-        ({"raster": "r.npy", "rule": {"kind": "linear"}}, "`threats[0].rule.scale` is missing"),
-        ({"raster": "r.npy", "rule": {"kind": "linear", "scale": 1, "rate": 2}}, "unknown key `threats[0].rule.rate`"),
-        ({"raster": "r.npy", "rule": {"kind": "linear", "scale": 0}}, "`threats[0].rule.scale` is 0"),
-        ({"raster": "r.npy", "rule": {"kind": "exposure", "rate": math.nan}}, "`threats[0].rule.rate` is nan"),
-        ({"raster": "r.npy", "rule": {"kind": "exposure", "rate": -1}}, "is -1"),
-        ({"raster": "r.npy", "rule": {"kind": "exposure", "rate": True}}, "is True"),
-        ({"raster": "r.npy", "rule": {"kind": "classes", "edges": [2, 1], "p": [0, 0, 0]}}, "increasing numbers"),
-        (
-            {"raster": "r.npy", "rule": {"kind": "classes", "edges": [1, 2], "p": [0, 0.1]}},
-            "3 probabilities 0 <= p < 1",
-        ),
-        ({"raster": "r.npy", "rule": {"kind": "classes", "edges": [1], "p": [0, 1]}}, "`threats[0].rule.p[1]` is 1"),
-        (
-            {"raster": "r.npy", "rule": {"kind": "classes", "edges": [1], "p": [0, -0.1]}},
-            "rule.p[1]` is -0.1",
-        ),
-        ({"raster": "r.npy", "rule": {"kind": "classes", "edges": "1", "p": [0, 0.1]}}, "`threats[0].rule.edges`"),
+        *(({"raster": "r.npy", "rule": rule}, said) for rule, said in WRONG_RULES),
         ({"generate": {"kind": "contiguos", "ratio": 0.2}}, "did you mean 'contiguous'"),
         ({"generate": {"kind": "scattered"}}, "generate.ratio` is missing"),
-        ({"generate": {"kind": "scattered", "ratio": 1.5}}, "generate.ratio` is 1.5"),
-        ({"generate": {"kind": "scattered", "ratio": 0.2, "areas": 0}}, "generate.areas` is 0"),
-        ({"generate": {"kind": "scattered", "ratio": 0.2, "levels": []}}, "generate.levels"),
-        ({"generate": {"kind": "scattered", "ratio": 0.2, "levels": [0.1, 1]}}, "generate.levels[1]` is 1"),
-        ({"generate": {"kind": "scattered", "ratio": 0.2, "seed": -1}}, "generate.seed` is -1"),
-        ({"generate": {"kind": "scattered", "ratio": 0.2, "seed": 1.0}}, "generate.seed` is 1.0"),
-        ({"generate": {"kind": "scattered", "ratio": 0.2, "level": [0.1]}}, "did you mean 'levels'"),
+        *(
+            ({"generate": {"kind": "scattered", "ratio": 0.2} | wrong}, f"generate.{said}")
+            for wrong, said in (
+                ({"ratio": 1.5}, "ratio` is 1.5"),
+                ({"areas": 0}, "areas` is 0"),
+                ({"levels": []}, "levels"),
+                ({"levels": [0.1, 1]}, "levels[1]` is 1"),
+                ({"seed": -1}, "seed` is -1"),
+                ({"seed": 1.0}, "seed` is 1.0"),
+                ({"level": [0.1]}, "level`; expected one of kind, ratio, areas, levels, seed; did you mean 'levels'"),
+            )
+        ),
     ],
 )
 def test_wrong_sources(tmp_path: Path, source: object, names: str) -> None:
@@ -270,7 +275,9 @@ def test_points_at_the_centres(tmp_path: Path) -> None:
             else:
                 p = np.where(distance <= 9.0, strength * np.exp(-(distance**2) / 18), 0)
             expected = 1 - (1 - expected) * (1 - p)
-        assert point_threat(points, kind, 3.0, frame, independent) == pytest.approx(expected, abs=1e-12)
+        things = [Thing("", "", *spread) for spread in point_spreads(points, kind, 3.0, frame)]
+        found = combined(things, "product", frame.shape[0] * frame.shape[1]).reshape(frame.shape)
+        assert found == pytest.approx(expected, abs=1e-12)
         assert expected.max() > 0.2
 
 
@@ -295,6 +302,7 @@ def test_points_files(tmp_path: Path, text: str) -> None:
         ("x,y,strength\n", "no points"),
         ("1,2\n", "line 1 has 2 values"),
         ("1,2,0.5\n1,2\n", "line 2 has 2 values"),
+        ("1,1,0.5\n1e308,1,0.5\n", "line 2: x is '1e308'"),
         ("1,2,1\n", "line 1: strength is 1"),
         ("1,2,-0.1\n", "line 1: strength is -0.1"),
         ("x,y,strength\n1,nan,0.1\n", "line 2: y is 'nan'"),
@@ -372,11 +380,11 @@ MUNICH = [[11.57549, 48.13743], [11.57812, 48.13743], [11.57812, 48.13901]]
 @pytest.mark.parametrize(
     ("ring", "names"),
     [
-        (MUNICH, ["x 11.57549 .. 11.57812", "look like longitude and latitude", "reproject"]),
-        ([[11.50549, 1.13743], [11.57812, 1.13743], [11.57812, 1.13901]], ["look like longitude and latitude"]),
-        ([[1.50549, 1.53743], [1.50812, 1.53743], [1.50812, 1.53901]], ["look like longitude and latitude"]),
-        ([[691000, 5334000], [691050, 5334000], [691050, 5334050]], ["lie off the map", "9 x 6 m from (0, 0)"]),
-        ([[20, 1], [30, 1], [30, 3]], ["x 20 .. 30", "lie off the map"]),
+        (MUNICH, ["x 11.57549 .. 11.57812", "reproject"]),
+        ([[11.50549, 1.13743], [11.57812, 1.13743], [11.57812, 1.13901]], ["reproject"]),
+        ([[1.50549, 1.53743], [1.50812, 1.53743], [1.50812, 1.53901]], ["reproject"]),
+        ([[691000, 5334000], [691050, 5334000], [691050, 5334050]], ["the map is 9 x 6 m from (0, 0)"]),
+        ([[20, 1], [30, 1], [30, 3]], ["x 20 .. 30, y 1 .. 3"]),
     ],
 )
 def test_polygons_that_cannot_be_meant_are_refused(tmp_path: Path, ring: list, names: list[str]) -> None:
@@ -403,8 +411,8 @@ def test_a_crs_of_degrees_is_refused_and_one_of_metres_is_not(tmp_path: Path, na
     [
         ("lon,lat,strength\n1,2,0.5\n", "lon, lat, strength"),
         ("longitude,latitude,weight\n1,2,0.5\n", "expected x, y in metres"),
-        ("11.57549,48.13743,0.5\n", "look like longitude and latitude"),
-        ("691000,5334000,0.5\n691001,5334000,0.5\n", "lie off the map"),
+        ("11.57549,48.13743,0.5\n", "reproject"),
+        ("691000,5334000,0.5\n691001,5334000,0.5\n", "covers no cell: x 691000 .. 691001"),
     ],
 )
 def test_points_that_cannot_be_meant_are_refused(tmp_path: Path, text: str, names: str) -> None:
@@ -472,20 +480,6 @@ def test_a_polygon_between_the_centres_is_noted(tmp_path: Path) -> None:
 def test_broken_polygons(tmp_path: Path, wrong: dict, names: str) -> None:
     with pytest.raises(MapError, match=re.escape(names)):
         load(tmp_path, [{"polygons": geojson(tmp_path, wrong)}])
-
-
-@pytest.mark.parametrize("radius", [1e300, 1e308, 1e-320, 1e10])
-@pytest.mark.parametrize("kind", ["disc", "gaussian"])
-def test_a_radius_that_cannot_be(tmp_path: Path, kind: str, radius: float) -> None:
-    (tmp_path / "p.csv").write_text("1,1,0.5\n")
-    with pytest.raises(ScenarioError, match=r"`threats\[0\]\.falloff\.radius` is .*1e\+09"):
-        load(tmp_path, [{"points": "p.csv", "falloff": {"kind": kind, "radius": radius}}])
-
-
-def test_points_beyond_the_world_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "p.csv").write_text("1,1,0.5\n1e308,1,0.5\n")
-    with pytest.raises(MapError, match="line 2: x is '1e308'"):
-        load(tmp_path, [{"points": "p.csv", "falloff": {"kind": "disc", "radius": 1e9}}])
 
 
 @pytest.mark.parametrize(

@@ -35,9 +35,8 @@ from planner.simulator.state import MOST_PASSES
 from planner.simulator.thresholds import threefry2x32
 from planner.world.generate import Stream, ThreatPattern, random_world
 from planner.world.moving_threats import FORESIGHTS, PLAN_ON, Foresight, MovingThreat
-from planner.world.planned_map import as_before
 from planner.world.scenario import load_input
-from planner.world.start_rule import place_starts
+from planner.world.start_rule import as_before, place_starts
 from planner.world.world import World, load_world_file
 
 # Threats that move: against exact values, and those against enumeration.

@@ -72,7 +72,7 @@ from planner.rollouts.engine import choose_engine
 from planner.rollouts.tables import AllPairs
 from planner.simulator.codes import Outcome
 from planner.tally import Tally, counts_by_word
-from planner.world.planned_map import true_world
+from planner.world.start_rule import true_world
 from planner.world.uncertain_maps import Uncertain
 from planner.world.world import World
 

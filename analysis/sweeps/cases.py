@@ -36,9 +36,8 @@ from planner.settings import BEARING, Choices, Settings
 from planner.tally import Tally
 from planner.world.generate import PAPER_LEVELS, Kind, ThreatPattern, random_world
 from planner.world.keys import Key
-from planner.world.planned_map import BEFORE, NOW, RELEASES, as_before, rules_of
 from planner.world.scenario import read_on, read_scenario
-from planner.world.start_rule import check_same_team, place_starts
+from planner.world.start_rule import BEFORE, NOW, RELEASES, as_before, check_same_team, place_starts, rules_of
 from planner.world.world import World, check_starts
 
 if TYPE_CHECKING:
@@ -110,7 +109,7 @@ class Written:
 
 
 RULES = "rules"
-"""Label of runs whose rules changed between releases (`planned_map`), and of their earlier versions."""
+"""Label of runs whose rules changed between releases (`rules_of`), and of their earlier versions."""
 REMEMBERED = 4
 """Number of worlds that `Places` caches: the next case is mostly another team in the same world."""
 Label = str | int | float | bool | None
@@ -263,7 +262,7 @@ def run_key(team: Team, model: RolloutChoices, rules: int | None = None) -> str:
     """The identity of a run: sha256, 64 hex digits, of all inputs of its rollouts. Nothing is planned.
 
     `rules`: version of the simulation rules; None: the latest that concerns such a team
-    (`planner.world.planned_map.rules_of`), so that runs unaffected by a change of the rules keep their keys.
+    (`planner.world.start_rule.rules_of`), so that runs unaffected by a change of the rules keep their keys.
     """
     # Keys and values of 0.3, so that its stores are resumed.
     drawn = {"loop": model.loop, "first_only": model.first_only, "seed": model.seed, "mode": "tolerance"}

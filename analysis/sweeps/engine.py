@@ -24,7 +24,7 @@ from planner.arguments import BLOCK, MOST_ROLLOUTS
 from planner.errors import UsageError
 from planner.files import Json
 from planner.formatting import counted
-from planner.world.planned_map import BEFORE, NOW, RELEASES
+from planner.world.start_rule import BEFORE, NOW, RELEASES
 
 if TYPE_CHECKING:
     from distributed import Client

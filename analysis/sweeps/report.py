@@ -23,7 +23,7 @@ from planner.arguments import argument, check_word
 from planner.files import Json, atomic_write
 from planner.formatting import counted, duration, in_percent
 from planner.simulator.codes import Outcome
-from planner.world.planned_map import BEFORE, RELEASES
+from planner.world.start_rule import BEFORE, RELEASES
 
 NAMES = {
     "visited": "cells visited, of the accessible ones",

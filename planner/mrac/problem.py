@@ -23,7 +23,7 @@ from planner.simulator.searches import SafestPaths, safest_paths
 from planner.world.levels import NO_LEVEL, ThreatLevels, entry_costs, find_levels, level_costs, levels_of_maps
 from planner.world.map_knowledge import Evidence, Knowledge, Sense
 from planner.world.moving_threats import Phases
-from planner.world.planned_map import as_planned
+from planner.world.start_rule import as_planned
 from planner.world.uncertain_maps import Uncertain
 from planner.world.world import FOUR_NEIGHBOURS, World, check_starts
 

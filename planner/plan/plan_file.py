@@ -23,7 +23,7 @@ from planner.settings import BEARING, KEPT, POLICY, SETTINGS, Settings
 from planner.simulator.codes import NO_ROBOT, Outcome
 from planner.tally import OF_CLOSED_LOOP, WORDS_OF_0_3
 from planner.world.keys import Key
-from planner.world.planned_map import as_planned
+from planner.world.start_rule import as_planned
 from planner.world.world import MAX_CELLS, MAX_ROBOTS, World
 
 OUTCOMES = tuple(outcome.word for outcome in OF_CLOSED_LOOP if outcome is not Outcome.ALL_ROBOTS_LOST)

@@ -32,9 +32,10 @@ from planner.plan.state import (
 )
 from planner.simulator.codes import NO_AREA, NO_ROBOT, Outcome
 from planner.tally import OF_CLOSED_LOOP, WORDS_OF_0_3
-from planner.world.grid import Frame
-from planner.world.image_files import FULL, RosMap, read_image, read_ros_map
+from planner.world.frame import Frame
+from planner.world.grid import OCCUPIED, Grid
 from planner.world.image_files import SUFFIXES as IMAGES
+from planner.world.image_files import read_image, read_ros_map
 from planner.world.keys import Key
 from planner.world.map_files import is_bag, read_logged_map
 from planner.world.points import LATITUDE, LONGITUDE, Table, X, Y, on_map, read_table
@@ -329,21 +330,21 @@ def _ratio(pixels: tuple[int, ...], cells: tuple[int, ...]) -> int:
     return fits[0] if len(fits) == 1 else 0
 
 
-def _under(grid: RosMap, frame: Frame) -> NDArray[np.bool_]:
+def _under(grid: Grid, frame: Frame) -> NDArray[np.bool_]:
     """bool `[H, W]`: cells of the frame whose part on the grid is occupied by at least half."""
     # Pixels larger than cells: a cell may hold no pixel centre, so its own centre is looked up.
     if grid.frame.size > frame.size:
         at = grid.frame.pixels(frame.centres())
         held = grid.frame.holds(at)
         marked = np.zeros(frame.shape, dtype=bool)
-        marked[held] = grid.values[tuple(at[held].T)] >= FULL
+        marked[held] = grid.occupancy[tuple(at[held].T)] >= OCCUPIED
         return marked
     under = frame.pixels(grid.frame.centres())
     held = frame.holds(under)
     cells = np.ravel_multi_index(tuple(under[held].T), frame.shape)
     size = frame.shape[0] * frame.shape[1]
     count = np.bincount(cells, minlength=size)
-    marked = np.bincount(cells, grid.values[held] >= FULL, minlength=size)
+    marked = np.bincount(cells, grid.occupancy[held] >= OCCUPIED, minlength=size)
     return ((count > 0) & (marked >= HALF * count)).reshape(frame.shape)
 
 

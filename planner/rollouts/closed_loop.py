@@ -27,7 +27,7 @@ from planner.simulator.jit import LARGE
 from planner.simulator.offers import CellOffer
 from planner.simulator.state import SINGLES, Counts
 from planner.tally import RolloutResults, Tally, Trace, tally_key
-from planner.world.planned_map import BEFORE, rules_of
+from planner.world.start_rule import BEFORE, rules_of
 from planner.world.uncertain_maps import Hazard, Uncertain
 from planner.world.world import World
 

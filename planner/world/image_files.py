@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,8 @@ from planner.arguments import Numbers
 from planner.errors import MapError
 from planner.files import Json, check_file, library_errors
 from planner.formatting import counted
-from planner.world.grid import FREE, OCCUPIED, TURN, UNKNOWN, Frame, Georeference, Grid, around
+from planner.world.frame import TURN, Frame, Georeference, around
+from planner.world.grid import OCCUPIED, UNKNOWN, Grid
 from planner.world.keys import CELL_SIZE, COORDINATE, POSE, SHARE, Key, read_yaml
 from planner.world.world import MAX_CELLS
 
@@ -122,49 +123,13 @@ USUAL_FREE = 0.196
 DEFAULTS: Json = {"mode": "trinary", "negate": 0, "free_thresh": USUAL_FREE}
 OPTIONAL = ("datum",)
 """Required and optional keys of a map's YAML file; `datum`, the position of the frame's (0, 0), is ours."""
-FULL, NO_VALUE = 100, -1
-"""Values of an occupied and of an unknown pixel."""
 UNKNOWN_GREYS = {205: "map_saver", 128: "cartographer"}
 """Greys that programs write for unknown ground, with black = occupied."""
 LOSSY = 2
 """Largest difference of a pixel from that grey under lossy compression."""
 
 
-@dataclass(frozen=True, eq=False)
-class RosMap:
-    """A map as map_server publishes it.
-
-    Attributes:
-        values: int16 `[H, W]`, row 0 at the top (largest y): 0 free .. 100 occupied, -1 unknown.
-        frame: resolution in metres and the pose of the lower-left corner.
-        source: the YAML file. mode: of its values.
-        notes: effects of reading that a user should know.
-        georeference: position of the frame on the Earth, if `datum` gives it.
-    """
-
-    values: NDArray[np.int16]
-    frame: Frame
-    source: str
-    mode: str = DEFAULTS["mode"]
-    notes: tuple[str, ...] = ()
-    georeference: Georeference | None = None
-
-    def grid(self) -> Grid:
-        """Pixels as obstacles (value 100), unknown (-1) and free (all others, as in nav2's static layer)."""
-        state = np.full(self.values.shape, FREE, dtype=np.uint8)
-        state[self.values >= FULL] = OCCUPIED
-        state[self.values == NO_VALUE] = UNKNOWN
-        notes = self.notes
-        between = int(((self.values > 0) & (self.values < FULL)).sum())
-        if between:
-            notes += (
-                f"mode: {self.mode} is meant for threats (`layer:` in a scenario): as a map, its {between} pixels "
-                "between free and occupied are free and without threat",
-            )
-        return Grid(state, self.frame, self.source, notes=notes, georeference=self.georeference)
-
-
-def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
+def read_ros_map(path: Path, top: Key | None = None) -> Grid:
     """Read the map of a map_server YAML file; unknown keys are ignored, as map_server does.
 
     With brightness b in 0..1 (16 bits as well), p = 1 - b, or b if `negate`. Modes: `trinary` (the default): occupied
@@ -196,7 +161,7 @@ def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
     height, width = values.shape
     frame = Frame((height, width), resolution, (x, y, math.remainder(yaw, 2 * math.pi)))
     place = read_datum(keys["datum"]) if "datum" in keys else None
-    return RosMap(values, frame, str(path), mode, notes, place)
+    return Grid(values, frame, str(path), notes=notes, georeference=place)
 
 
 def read_datum(key: Key) -> Georeference:
@@ -218,11 +183,11 @@ def read_datum(key: Key) -> Georeference:
 def _values(
     mode: str, picture: Picture, negate: bool, occupied: float, free: float
 ) -> tuple[NDArray[np.int16], tuple[str, ...]]:
-    """`RosMap.values`, and notes on colours, transparency, and unknown ground that is read as free or occupied."""
+    """`Grid.occupancy`, and notes on colours, transparency, and unknown ground that is read as free or occupied."""
     notes: list[str] = []
     if mode == "raw":
         raw = np.rint(picture.bright * 255)
-        values = np.where(raw <= FULL, raw, NO_VALUE).astype(np.int16)
+        values = np.where(raw <= OCCUPIED, raw, UNKNOWN).astype(np.int16)
     else:
         p = picture.bright if negate else 1 - picture.bright
         values = _by_thresholds(mode, p, occupied, free)
@@ -234,24 +199,24 @@ def _values(
                 values = _by_thresholds(mode, p, occupied, free)
                 how = "mode: trinary averages alpha into the brightness, as map_server does"
             else:
-                values = np.where(alpha < 1, NO_VALUE, plain).astype(np.int16)
+                values = np.where(alpha < 1, UNKNOWN, plain).astype(np.int16)
                 how = "mode: scale reads pixels that are not fully opaque as unknown, as map_server does"
             notes += _changed(plain, values, how)
         notes += _unknown_greys(mode, picture, values, p, negate)
-    readings = {"obstacle": values >= FULL, "free": values == 0, "unknown": values == NO_VALUE}
-    readings |= {"in between": (values > 0) & (values < FULL)}
+    readings = {"obstacle": values >= OCCUPIED, "free": values == 0, "unknown": values == UNKNOWN}
+    readings |= {"in between": (values > 0) & (values < OCCUPIED)}
     return values, (*picture.colours(readings), *notes)
 
 
 def _by_thresholds(mode: str, p: NDArray[np.float64], occupied: float, free: float) -> NDArray[np.int16]:
     """Values from p `[H, W]`, the occupancy in 0..1."""
-    between = np.rint((p - free) / (occupied - free) * FULL) if mode == "scale" else np.full(p.shape, NO_VALUE)
-    return np.where(p >= occupied, FULL, np.where(p <= free, 0, between)).astype(np.int16)
+    between = np.rint((p - free) / (occupied - free) * OCCUPIED) if mode == "scale" else np.full(p.shape, UNKNOWN)
+    return np.where(p >= occupied, OCCUPIED, np.where(p <= free, 0, between)).astype(np.int16)
 
 
 def _changed(plain: NDArray[np.int16], values: NDArray[np.int16], how: str) -> list[str]:
     """A note on pixels that transparency changes; `plain`: values by brightness only."""
-    names = {NO_VALUE: "unknown", 0: "free", FULL: "obstacles"}
+    names = {UNKNOWN: "unknown", 0: "free", OCCUPIED: "obstacles"}
     counts = {name: int(((values == value) & (plain != value)).sum()) for value, name in names.items()}
     said = ", ".join(f"{counted(count, 'pixel')} {name} by it" for name, count in counts.items() if count)
     return [f"{how}: {said}"] if said else []
@@ -265,7 +230,7 @@ def _unknown_greys(
     for unknown, writer in UNKNOWN_GREYS.items():
         grey, off = 255 - unknown if negate else unknown, LOSSY if picture.lossy else 0
         said = f"grey {grey}" + (f" ({grey - off} to {grey + off} under lossy compression)" if off else "")
-        for taken, value in (("free", 0), ("an obstacle", FULL)):
+        for taken, value in (("free", 0), ("an obstacle", OCCUPIED)):
             held = (np.abs(picture.grey - grey) <= off) & (values == value)
             if held.any():
                 below = math.floor(1000 * p[held].min()) / 1000
@@ -296,7 +261,7 @@ def image_grid(path: Path) -> Grid:
     picture = read_image(path)
     values, notes = _values("trinary", picture, False, 0.65, 0.25)
     if picture.alpha is not None and (hidden := picture.alpha == 0).any():
-        values[hidden] = NO_VALUE
+        values[hidden] = UNKNOWN
         notes += (f"{counted(int(hidden.sum()), 'pixel')} fully transparent: unknown",)
     height, width = values.shape
-    return replace(RosMap(values, Frame((height, width), 1.0), str(path), notes=notes).grid(), measured=False)
+    return Grid(values, Frame((height, width), 1.0), str(path), notes=notes, measured=False)

@@ -362,6 +362,27 @@ def first_of(wrong: NDArray[np.bool_]) -> tuple[tuple[int, int], str]:
     return (row, col), f"at [{row}, {col}] ({counted(int(wrong.sum()), 'such cell')})"
 
 
+def as_numbers(given: ArrayLike, name: str, source: str, kinds: str = "fiu") -> NDArray:
+    """An array of real numbers.
+
+    Args:
+        given: of any shape.
+        name, source: for messages.
+        kinds: accepted kinds of data types.
+
+    Raises:
+        WorldError: rows of different lengths, or no numbers.
+    """
+    try:
+        array = np.asarray(given)
+    except ValueError:
+        array = np.empty(0, dtype=object)
+    if array.dtype.kind not in kinds:
+        problem = f"{name} holds {array.dtype}"
+        raise WorldError(problem, source=source, expected="numbers, in rows of one length")
+    return array
+
+
 def checked_layer(
     given: ArrayLike | None, of: Quantity, free: NDArray[np.bool_], source: str
 ) -> NDArray[np.float64] | None:
@@ -381,22 +402,14 @@ def checked_layer(
     """
     if given is None:
         return None
-    try:
-        array = np.asarray(given)
-    except ValueError:
-        raise WorldError(f"{of.name} has rows of different lengths", source=source, expected="a grid [H, W]") from None
-    if array.dtype.kind not in "fiu":
-        raise WorldError(f"{of.name} holds {array.dtype}", source=source, expected="numbers")
-    if array.ndim and array.shape != free.shape:
-        expected = f"the map's, {list(free.shape)}"
-        raise WorldError(f"{of.name} has shape {list(array.shape)}", source=source, expected=expected)
+    array = as_numbers(given, of.name, source)
     # A masked value would otherwise count as the number under the mask.
     unsaid = free & np.ma.getmaskarray(given) if isinstance(given, np.ma.MaskedArray) else np.zeros_like(free)
-    if unsaid.any():
-        where = first_of(unsaid)[1]
-        problem = f"{of.name} is masked {where}"
+    if (array.ndim and array.shape != free.shape) or unsaid.any():
+        problem = f"{of.name} is masked {first_of(unsaid)[1]}" if unsaid.any() else f"{of.name} has shape {array.shape}"
+        expected = f"one number, or one in every free cell of the map, {list(free.shape)}"
         raise WorldError(
-            problem, source=source, expected="a number in every free cell", fix="fill it, as by .filled(1)"
+            problem, source=source, expected=expected, fix="fill it, as by .filled(1)" * bool(unsaid.any())
         )
     layer = np.where(free, array.astype(np.float64), 0.0)
     wrong = ~((layer >= 0) & (layer <= of.numbers.most))

@@ -9,7 +9,6 @@ import struct
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from mcap.reader import NonSeekingReader
@@ -20,16 +19,17 @@ from planner.errors import MapError
 from planner.files import Json, check_file, check_size, library_errors, read_json, why_no_file
 from planner.formatting import counted
 from planner.mcap import damage_reported, mapped
-from planner.world.grid import FREE, OCCUPIED, Frame, Grid
-from planner.world.image_files import FULL, NO_VALUE, RosMap, image_grid, read_ros_map
+from planner.world.frame import Frame
+from planner.world.grid import FREE, OCCUPIED, UNKNOWN, Grid, occupied
 from planner.world.image_files import SUFFIXES as IMAGES
+from planner.world.image_files import image_grid, read_ros_map
 from planner.world.keys import CELL_SIZE, CHANCE, COORDINATE, FARTHEST, Key, read_yaml
 from planner.world.raster_files import GEO_SUFFIXES, read_raster
 from planner.world.robot_types import FACTOR, RobotTypes, checked_types
 from planner.world.uncertain_maps import LARGEST
 from planner.world.vector_files import SUFFIXES as FIELDS
 from planner.world.vector_files import read_field
-from planner.world.world import MAX_CELLS, MAX_ROBOTS, WORLD_FILES, World, check_starts, load_world_file
+from planner.world.world import MAX_CELLS, MAX_ROBOTS, WORLD_FILES, World, load_world_file
 
 # ROS 2 logs (MCAP, or a rosbag2 folder): the latest `nav_msgs/OccupancyGrid` as a map.
 
@@ -95,7 +95,7 @@ def other_storage(path: Path, log: Path) -> MapError:
     return MapError(problem, source=path, expected="an MCAP log (.mcap)", fix=fix.format(bag=path, log=log))
 
 
-def read_logged_map(path: Path, topic: str | None = None, choose: str = "") -> RosMap:
+def read_logged_map(path: Path, topic: str | None = None, choose: str = "") -> Grid:
     """Read the latest grid, by log time, of a log or a rosbag2 folder.
 
     Thresholds as in nav2's map_saver: occupied from 65, free up to 25, else unknown.
@@ -152,7 +152,7 @@ def _add_grids(path: Path, grids: dict[str, tuple[int, bytes]], others: dict[str
                 others[channel.topic] = kind if said == ENCODING else f"{kind}, {said}"
 
 
-def _decode(data: bytes, path: Path) -> RosMap:
+def _decode(data: bytes, path: Path) -> Grid:
     """The map in a message (CDR): each value is aligned to its size, counted from the end of the 4-byte header."""
     order, data = "<" if data[1:2] == b"\x01" else ">", data[4:]
     at = 12 + struct.unpack_from(f"{order}iII", data)[2]  # after the stamp and the frame's name
@@ -161,19 +161,17 @@ def _decode(data: bytes, path: Path) -> RosMap:
     at += 20 + -(at + 20) % 8
     x, y, _, *turn, count = struct.unpack_from(f"{order}7dI", data, at)
     values = np.frombuffer(data, np.int8, count, at + 60)
-    if not 0 < height * width <= MAX_CELLS or len(values) != height * width:
-        problem = f"its map claims {height} x {width} pixels and holds {len(values)}"
-        raise MapError(problem, source=path, expected=f"1 to {MAX_CELLS} pixels")
     size = float(f"{resolution:.7g}")  # the decimal number that a 32-bit float stands for
-    if not CELL_SIZE.accepts(size) or not all(map(COORDINATE.accepts, (x, y, *turn))):
-        problem = f"its map has pixels of {size:g} m from ({x:g}, {y:g})"
-        raise MapError(problem, source=path, expected=f"{CELL_SIZE.expected}; an origin, nothing beyond {FARTHEST:g}")
-    if max(abs(turn[0]), abs(turn[1])) > LEVEL:
-        raise MapError(f"its map is tilted: quaternion {turn}", source=path, expected="a map that lies flat")
+    is_whole = 0 < height * width <= MAX_CELLS and len(values) == height * width
+    placed = CELL_SIZE.accepts(size) and all(map(COORDINATE.accepts, (x, y, *turn)))
+    if not is_whole or not placed or max(abs(turn[0]), abs(turn[1])) > LEVEL:
+        problem = f"its map claims {height} x {width} pixels of {size:g} m from ({x:g}, {y:g}), quaternion {turn}"
+        expected = f"1 to {MAX_CELLS} pixels, {CELL_SIZE.expected}, none beyond {FARTHEST:g}, not tilted"
+        raise MapError(f"{problem}, and holds {len(values)}", source=path, expected=expected)
     yaw = math.remainder(2 * math.atan2(turn[2], turn[3]), 2 * math.pi)
     grid = values.reshape(height, width)[::-1].astype(np.int16)
     state = np.where(
-        grid >= OCCUPIED_PERCENT, FULL, np.where((grid >= 0) & (grid <= FREE_PERCENT), 0, NO_VALUE)
+        grid >= OCCUPIED_PERCENT, OCCUPIED, np.where((grid >= 0) & (grid <= FREE_PERCENT), FREE, UNKNOWN)
     ).astype(np.int16)
     between = int(((grid > FREE_PERCENT) & (grid < OCCUPIED_PERCENT)).sum())
     notes = (
@@ -181,7 +179,7 @@ def _decode(data: bytes, path: Path) -> RosMap:
         if between
         else ()
     )
-    return RosMap(state, Frame((height, width), size, (x, y, yaw)), str(path), notes=notes)
+    return Grid(state, Frame((height, width), size, (x, y, yaw)), str(path), notes=notes)
 
 
 # Instances of other planners as worlds: MAPS (YAML), LS-MCPP (`.mcpp`) and DORA-Explorer (`.json`).
@@ -283,14 +281,13 @@ def _cell(key: Key, height: int, width: int, *more: str) -> tuple[int, int]:
     return int(row), int(col)
 
 
-def read_mcpp(path: Path, read_map: Any) -> Grid:
+def read_mcpp(path: Path) -> World:
     """Read an instance of reso1/LS-MCPP: the map that it names, and a robot at each `root` (column, row).
 
     The map is `gridmaps/NAME.map` if the instance is in `instances/`, else NAME.map in its folder.
 
     Args:
         path: the instance.
-        read_map: reads a MovingAI map.
 
     Raises:
         MapError, WorldError: a key is invalid, or the map is missing.
@@ -305,7 +302,7 @@ def read_mcpp(path: Path, read_map: Any) -> Grid:
     found = next((place for place in places if place.is_file()), None)
     if found is None:
         raise keys["map"].wrong(f"a map {name[:60]}.map in its folder, or in gridmaps if it is in instances")
-    grid: Grid = read_map(found)
+    grid = read_movingai(found)
     height, width = grid.frame.shape
     starts = []
     for key in keys["root"].items("a list of [column, row]"):
@@ -316,8 +313,7 @@ def read_mcpp(path: Path, read_map: Any) -> Grid:
         numbers = [part.number(whole(0, height * width - 1), expected) for part in parts]
         col, row = numbers if len(numbers) == 2 else divmod(numbers[0], height)
         starts.append([row, col])
-    threat = np.where(grid.state == 0, 0.0, np.nan).astype(np.float32)
-    return replace(grid, source=str(path), starts=check_starts(starts, threat, str(path)))
+    return World.create(np.where(grid.occupancy == FREE, 0.0, np.nan), starts, source=str(path))
 
 
 def read_sources(path: Path) -> World:
@@ -365,7 +361,7 @@ def load_map(path: Path, cell_size: float | None = None, top: Key | None = None)
         MapError, WorldError: name file, value and expectation.
     """
     if is_bag(path):
-        return read_logged_map(path, choose=CHOOSE_TOPIC).grid()
+        return read_logged_map(path, choose=CHOOSE_TOPIC)
     suffix = path.suffix.lower()
     if suffix in OTHER_STORAGE:
         raise other_storage(path, path)
@@ -375,22 +371,12 @@ def load_map(path: Path, cell_size: float | None = None, top: Key | None = None)
     return FORMATS[suffix](path, cell_size, top)
 
 
-def world_grid(world: World) -> Grid:
-    """A world as a map with its threats and starts."""
-    state = np.where(world.free, FREE, OCCUPIED).astype(np.uint8)
-    return Grid(
-        state, world.frame, world.source, threat=world.threat, starts=world.starts, notes=world.notes,
-        georeference=world.georeference, value=world.value, detect=world.detect, uncertainty=world.uncertainty,
-        knowledge=world.knowledge, measured=world.measured, types=world.types,
-    )  # fmt: skip
-
-
 def _yaml_map(path: Path, top: Key | None) -> Grid:
     """A map of ROS, or of MAPS."""
     top = read_yaml(path, MapError) if top is None else top
     if isinstance(top.value, dict) and MAPS_KEY in top.value:
-        return world_grid(read_maps(path, top))
-    return read_ros_map(path, top).grid()
+        return Grid.of(read_maps(path, top))
+    return read_ros_map(path, top)
 
 
 def _threat_raster(path: Path, cell_size: float | None) -> Grid:
@@ -398,7 +384,7 @@ def _threat_raster(path: Path, cell_size: float | None) -> Grid:
     raster = read_raster(path, cell_size)
     size, origin = (1.0, (0.0, 0.0, 0.0)) if raster.frame is None else (raster.frame.size, raster.frame.origin)
     world = World.create(raster.values, None, size, origin, str(path), raster.notes, raster.georeference)
-    return replace(world_grid(world), bounds=raster.bounds, measured=raster.frame is not None)
+    return replace(Grid.of(world), bounds=raster.bounds, measured=raster.frame is not None)
 
 
 def _picture(path: Path) -> Grid:
@@ -434,48 +420,47 @@ def read_movingai(path: Path) -> Grid:
     with library_errors("cannot be read", path, expected):
         lines = path.read_bytes().removeprefix(codecs.BOM_UTF8).splitlines()
     header = [line.decode("latin-1").split() for line in lines[:10]]
-    if ["map"] not in header:
-        raise MapError("no line `map` in the header", source=path, expected=expected)
-    start, sides = header.index(["map"]) + 1, {}
+    start = header.index(["map"]) + 1 if ["map"] in header else 0
+    sides: dict[str, int] = {}
     for number, words in enumerate(header[:start], start=1):
-        if words == ["type", CORNERS]:
-            problem = f"line {number}: its type is {CORNERS}, whose characters are corners of cells"
-            raise MapError(problem, source=path, expected="type octile", fix="use the map's file of that type")
-        if words and words[0] in ("height", "width"):
-            # Nine digits at most: the product is compared with the size of the file.
-            if words[0] in sides or not re.fullmatch(r"[1-9][0-9]{0,8}", " ".join(words[1:])):
-                problem = f"line {number}: {' '.join(words)[:60]!r}"
-                raise MapError(problem, source=path, expected=f"one line `{words[0]} N`, a whole number from 1")
-            sides[words[0]] = int(words[1])
+        # Nine digits at most: the product is compared with the size of the file.
+        is_side = re.fullmatch(r"(height|width) [1-9][0-9]{0,8}", " ".join(words))
+        if (words[:1] in (["height"], ["width"]) and (not is_side or words[0] in sides)) or words == ["type", CORNERS]:
+            fix = "use the map's file of type octile: characters are corners here" * (words[0] == "type")
+            problem = f"line {number}: {' '.join(words)[:60]!r}"
+            raise MapError(
+                problem, source=path, expected="one line `height N` and `width N`, whole numbers from 1", fix=fix
+            )
+        sides |= {words[0]: int(words[1])} if is_side else {}
     if len(sides) < 2:
-        raise MapError("height or width is missing", source=path, expected="height H, width W before `map`")
+        raise MapError("has no header with height, width and map", source=path, expected=expected)
     (height, width), size = (sides["height"], sides["width"]), path.stat().st_size
     if height * width > size:
         raise MapError(f"{size} bytes claim {height} x {width} cells", source=path, expected="a complete map")
     rows = lines[start:]
     while len(rows) > height and not rows[-1].strip():
         rows.pop()
-    if len(rows) != height:
-        raise MapError(f"{len(rows)} rows", source=path, expected=f"{height} as the header says")
-    for number, row in enumerate(rows, start=start + 1):
-        if len(row) != width:
-            problem = f"line {number} has {len(row)} characters"
-            raise MapError(problem, source=path, expected=f"{width} as the header says")
+    uneven = [
+        f"line {number} has {len(row)} characters" for number, row in enumerate(rows, start + 1) if len(row) != width
+    ]
+    if len(rows) != height or uneven:
+        problem = uneven[0] if uneven else f"{len(rows)} rows"
+        raise MapError(problem, source=path, expected=f"{height} rows of {width} as the header says")
     cells = np.frombuffer(b"".join(rows), dtype=np.uint8).reshape(height, width)
     free = np.isin(cells, np.frombuffer(MOVINGAI_FREE, dtype=np.uint8))
     frame = Frame((height, width), 1.0)
-    return Grid(np.where(free, FREE, OCCUPIED).astype(np.uint8), frame, str(path), measured=False)
+    return Grid(occupied(~free), frame, str(path), measured=False)
 
 
 Reader = Callable[[Path, float | None, Key | None], Grid]
 FORMATS: dict[str, Reader] = {
     **dict.fromkeys(YAML, lambda path, cell_size, top: _yaml_map(path, top)),
-    **dict.fromkeys(WORLD_FILES, lambda path, cell_size, top: world_grid(load_world_file(path))),
+    **dict.fromkeys(WORLD_FILES, lambda path, cell_size, top: Grid.of(load_world_file(path))),
     **dict.fromkeys(GEO_SUFFIXES, lambda path, cell_size, top: _threat_raster(path, cell_size)),
     ".map": lambda path, cell_size, top: read_movingai(path),
-    ".mcap": lambda path, cell_size, top: read_logged_map(path, choose=CHOOSE_TOPIC).grid(),
-    ".mcpp": lambda path, cell_size, top: read_mcpp(path, read_movingai),
-    ".json": lambda path, cell_size, top: world_grid(read_sources(path)),
+    ".mcap": lambda path, cell_size, top: read_logged_map(path, choose=CHOOSE_TOPIC),
+    ".mcpp": lambda path, cell_size, top: Grid.of(replace(read_mcpp(path), measured=False)),
+    ".json": lambda path, cell_size, top: Grid.of(read_sources(path)),
     **dict.fromkeys(IMAGES, lambda path, cell_size, top: _picture(path)),
     **dict.fromkeys(FIELDS, lambda path, cell_size, top: _field(path, cell_size)),
 }

@@ -74,9 +74,12 @@ class Sense:
             )
         height, width = free.shape
         rows, cols = np.divmod(cells, width)
+        reach = isqrt(self.square)
+        tall, wide = min(reach, height - 1), min(reach, width - 1)
+        down_by, right_by = np.ogrid[-tall : tall + 1, -wide : wide + 1]
         who, what = [], []
         # Offsets are in the order of cell indices, so the cells seen from a cell increase too.
-        for down, right in self._offsets(height, width):
+        for down, right in (np.argwhere(down_by**2 + right_by**2 <= self.square) - (tall, wide)).tolist():
             inside = (rows + down >= 0) & (rows + down < height) & (cols + right >= 0) & (cols + right < width)
             seers = np.flatnonzero(inside)
             for i, j in _between(down, right) if self.sight else ():
@@ -86,14 +89,6 @@ class Sense:
         seer = np.concatenate(who)
         begin = np.append(0, np.cumsum(np.bincount(seer, minlength=len(cells))))
         return begin, np.concatenate(what)[np.argsort(seer, kind="stable")]
-
-    def _offsets(self, height: int, width: int) -> Iterator[tuple[int, int]]:
-        reach = isqrt(self.square)
-        tall, wide = min(reach, height - 1), min(reach, width - 1)
-        for down in range(-tall, tall + 1):
-            for right in range(-wide, wide + 1):
-                if down * down + right * right <= self.square:
-                    yield down, right
 
 
 def _between(down: int, right: int) -> Iterator[tuple[int, int]]:
@@ -176,12 +171,10 @@ def make_sense(given: float | Sense | Mapping[str, Any], source: str) -> Sense:
         given = {"range": given.range, "sight": given.sight}
     keys: Json = dict(given) if isinstance(given, Mapping) else {"range": given}
     cells, sight = keys.pop("range", None), keys.pop("sight", False)
-    if keys or not isinstance(sight, bool | np.bool_):
-        raise WorldError(
-            f"sensor_range is {given!r:.60}", source=source, expected="a range, or {range, sight: true or false}"
-        )
-    if not (cells == inf or (RANGE.accepts(cells) and not 0 < cells < 1)):
-        raise WorldError(f"sensor_range is {cells!r:.60}", source=source, expected=RANGE.expected)
+    is_range = cells == inf or (RANGE.accepts(cells) and not 0 < cells < 1)
+    if keys or not is_range or not isinstance(sight, bool | np.bool_):
+        expected = f"{RANGE.expected}; or {{range, sight: true or false}}"
+        raise WorldError(f"sensor_range is {given!r:.60}", source=source, expected=expected)
     return Sense(float(cells), bool(sight))
 
 

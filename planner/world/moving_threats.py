@@ -154,15 +154,12 @@ class MovingThreats:
 
     def arrays(self) -> dict[str, NDArray]:
         """Arrays of the world file, by name."""
-        each = self.members
-        routes = [cell for one in each for cell in one.route]
-        numbers = {"hit": [one.hit for one in each], "stay": [one.stay for one in each]}
-        places = {"start": [one.start for one in each], "length": [len(one.route) for one in each]}
-        return (
-            {"movers_own": self.own, "movers_routes": np.array(routes, dtype="<i8")}
-            | {f"movers_{name}": np.array(values, dtype="<f8") for name, values in numbers.items()}
-            | {f"movers_{name}": np.array(values, dtype="<i8") for name, values in places.items()}
-        )
+        kinds = {"hit": "<f8", "stay": "<f8", "start": "<i8"}
+        each = {name: np.array([getattr(one, name) for one in self.members], kinds[name]) for name in kinds}
+        each["length"] = np.array([len(one.route) for one in self.members], "<i8")
+        routes = np.array([cell for one in self.members for cell in one.route], "<i8")
+        arrays = {f"movers_{name}": array for name, array in each.items()}
+        return {"movers_own": self.own, "movers_routes": routes} | arrays
 
 
 def moving_threats_in(arrays: Mapping[str, NDArray]) -> list[MovingThreat]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -25,8 +25,8 @@ from planner.files import (
     read_rows,
     signs_of,
 )
-from planner.world.grid import RANGE, TURN, WGS84, Frame, Georeference, near, principal
-from planner.world.image_files import RosMap
+from planner.world.frame import RANGE, TURN, WGS84, Frame, Georeference, near, principal
+from planner.world.grid import UNKNOWN, Grid
 from planner.world.keys import FARTHEST, THREAT, Key, Quantity
 from planner.world.raster_files import describe
 from planner.world.robot_types import short_name
@@ -154,10 +154,6 @@ class Patch:
     def margin(self) -> float:
         """Degrees from the map within which places are assumed to belong to it."""
         return max(NEAR, float((self.high - self.low).max()))
-
-    def is_near(self, places: NDArray[np.float64]) -> bool:
-        """True if one of (longitude, latitude) `[n, 2]` is within the margin."""
-        return bool(self.meets((places, places), self.margin).any())
 
     def check_order(self, boxes: Boxes, source: object) -> None:
         """Check the order of longitude and latitude.
@@ -298,16 +294,8 @@ MAX_BYTES = 2**24
 """Largest CSV or GeoJSON file that is read (16 MiB)."""
 MAX_CORNERS = 2**18
 """Most corners of all polygons in a file: each edge is rasterised separately."""
+NAME_DEGREES = "longitude and latitude, in this order, are in a file with a CRS, or in columns named lon and lat"
 IN_METRES = "reproject it into metres of the map's frame (ogr2ogr -t_srs, or QGIS: export in the map's CRS)"
-Merge = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
-
-
-def point_threat(points: NDArray[np.float64], kind: str, radius: float, frame: Frame, merge: Merge) -> NDArray:
-    """Threat float64 `[H, W]` of points; arguments as in `point_spreads`, `merge` combines threats of a pixel."""
-    threat = np.zeros(frame.shape[0] * frame.shape[1])
-    for at, own in point_spreads(points, kind, radius, frame):
-        threat[at] = merge(threat[at], own)
-    return threat.reshape(frame.shape)
 
 
 def point_spreads(
@@ -357,29 +345,19 @@ def check_place(key: Key, points: NDArray[np.float64], frame: Frame, place: Geor
     height, width = frame.shape
     local = frame.local(points) / frame.size
     off = bool((local.max(axis=0) < 0).any() or (local.min(axis=0) > (width, height)).any())
-    orders = [bool((np.abs(places) <= (180, 90)).all()) and fine(points) for places in (points, points[:, ::-1])]
-    if not off and not any(orders):
+    if not off and not (fine(points) and (in_range(points).all() or in_range(points[:, ::-1]).all())):
         return
     (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
     x, y, _ = frame.origin
-    problem = f"names {key.value}, which {what}: x {west:.10g} .. {east:.10g}, y {south:.10g} .. {north:.10g} "
-    size, fix = f", {width * frame.size:g} x {height * frame.size:g} m from ({x:.10g}, {y:.10g})", ""
-    if not any(orders):
-        problem, fix = f"{problem}lie off the map{size}", "give metres in the map's frame (see its origin)"
-    else:
-        problem += f"look like {'longitude and latitude' if orders[0] else 'latitude and longitude, latitude first'}"
-        if place is None:
-            problem, fix = problem + size, IN_METRES if orders[0] else f"swap the two, and {IN_METRES}"
-        else:
-            patch = Patch.of(frame, place)
-            near = [patch.is_near(points), patch.is_near(points[:, ::-1])]
-            names = " and ".join(("lon", "lat") if near[0] else ("lat", "lon"))
-            problem += f", and the map lies at {patch.words}"
-            fix = f"name the columns {names}" if any(near) else "check the coordinates: do they belong to this map?"
-    raise key.fault(problem, "metres on the map", fix)
+    at = "" if place is None else f", at {Patch.of(frame, place).words}"
+    problem = (
+        f"names {key.value}, which {what}: x {west:.10g} .. {east:.10g}, y {south:.10g} .. {north:.10g}, and the map "
+        f"is {width * frame.size:g} x {height * frame.size:g} m from ({x:.10g}, {y:.10g}){at}"
+    )
+    raise key.fault(problem, "metres on the map", IN_METRES if place is None else NAME_DEGREES)
 
 
-def values_over(layer: RosMap, frame: Frame) -> NDArray[np.int16]:
+def values_over(layer: Grid, frame: Frame) -> NDArray[np.int16]:
     """Values of a ROS map laid over the pixels of a frame by both origins and resolutions.
 
     A pixel takes the layer's value at its centre, or the largest of those whose centre it holds.
@@ -393,12 +371,12 @@ def values_over(layer: RosMap, frame: Frame) -> NDArray[np.int16]:
     """
     at = layer.frame.pixels(frame.centres())
     held = layer.frame.holds(at)
-    value = np.full(frame.shape, -1, dtype=np.int16)
-    value[held] = layer.values[tuple(at[held].T)]
+    value = np.full(frame.shape, UNKNOWN, dtype=np.int16)
+    value[held] = layer.occupancy[tuple(at[held].T)]
     if layer.frame.size < frame.size:
         under = frame.pixels(layer.frame.centres())
         held = frame.holds(under)
-        np.maximum.at(value, tuple(under[held].T), layer.values[held])
+        np.maximum.at(value, tuple(under[held].T), layer.occupancy[held])
     return value
 
 

@@ -15,18 +15,7 @@ from numpy.typing import NDArray
 from planner.errors import MapError
 from planner.files import library_errors
 from planner.formatting import counted
-from planner.world.grid import (
-    TURN,
-    WGS84,
-    Bounds,
-    Frame,
-    Georeference,
-    near,
-    no_way,
-    reproject,
-    same_crs,
-    turn_of,
-)
+from planner.world.frame import TURN, WGS84, Bounds, Frame, Georeference, near, no_way, reproject, same_crs, turn_of
 from planner.world.image_files import plausible
 
 # Meaning of the numbers of a raster: scale, offset and unit, and undeclared no-data values.
@@ -226,14 +215,10 @@ def _describe(numbers: NDArray[np.float64], of: Meaning, source: str) -> str:
     many = len(which) > MOST_NAMED
     named = f"{which[0]:.7g} .. {which[-1]:.7g}" if many else ", ".join(f"{number:.7g}" for number in which)
     what = "a mark of no data" + ", or no height on Earth" * (of is HEIGHTS)
-    fix, first = "write nan there", f"{which[0]:.17g}"
-    if source.casefold().endswith((".tif", ".tiff", ".asc")):
-        is_text = source.casefold().endswith(".asc")
-        fix = f"declare it: {f'NODATA_value {first} in its header' if is_text else edited(source, '--nodata', first)}"
-        fix += " (or another, if these are values)" * (of is not HEIGHTS)
-    if many and of is HEIGHTS:
-        fix = f"declare them, or their unit if they are no metres, as in {edited(source, '--units', 'cm')}"
-    return f"{counted(numbers.size, 'pixel')} of {named}, {what}, count as no data though none is declared; {fix}"
+    return (
+        f"{counted(numbers.size, 'pixel')} of {named}, {what}, count as no data though none is declared; declare it "
+        f"({edited(source, '--nodata', f'{which[0]:.17g}')}), or the unit if they are no metres, or write nan there"
+    )
 
 
 def edited(source: str, option: str, value: str) -> str:

@@ -14,19 +14,8 @@ from scipy import ndimage
 
 from planner.errors import MapError
 from planner.files import check_file, read_csv_grid, read_npy
-from planner.world.grid import (
-    FREE,
-    OCCUPIED,
-    WGS84,
-    Bounds,
-    Frame,
-    Georeference,
-    Grid,
-    Ground,
-    degree_sides,
-    same_crs,
-    utm_zone,
-)
+from planner.world.frame import WGS84, Bounds, Frame, Georeference, degree_sides, same_crs, utm_zone
+from planner.world.grid import Grid, Ground, occupied
 from planner.world.keys import CELL_SIZE, COORDINATE
 from planner.world.raster_bands import (
     HEIGHTS,
@@ -397,11 +386,8 @@ def elevation_grid(raster: Raster, resolution: float, max_slope_deg: float | Non
         if blocked.all():
             problem = f"every pixel of {frame.size:g} m is steeper than {max_slope_deg:g} degrees, or without data"
             raise MapError(problem, source=raster.source, fix="; ".join(raster.notes))
-    state = np.where(blocked, OCCUPIED, FREE).astype(np.uint8)
-    return Grid(
-        state, frame, raster.source, elevation=raster.values, bounds=raster.bounds, notes=raster.notes,
-        georeference=raster.georeference,
-    )  # fmt: skip
+    where = raster.bounds, raster.notes, raster.georeference
+    return Grid(occupied(blocked), frame, raster.source, raster.values, *where)
 
 
 def read_elevation(path: Path, cell_size: float | None = None) -> Raster:

@@ -7,7 +7,7 @@ import itertools
 import math
 import os
 import warnings
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,11 +25,11 @@ from planner.settings import Settings
 from planner.world.grid import WHOLE, Grid, Ground, coarsen
 from planner.world.image_files import read_datum
 from planner.world.keys import CELL_SIZE, PLACE, Key, read_yaml
-from planner.world.map_files import MAPS_KEY, YAML, is_bag, load_map, read_logged_map, world_grid
+from planner.world.map_files import MAPS_KEY, YAML, is_bag, load_map, read_logged_map
 from planner.world.raster_files import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
 from planner.world.robot_types import COMBINE, Matrix, checked_types, read_matrix
 from planner.world.scenario_features import KEYS as KNOWLEDGE
-from planner.world.scenario_features import read_hazard, read_knowledge, read_movers, read_phases, read_uncertain
+from planner.world.scenario_features import UNCERTAIN, read_knowledge
 from planner.world.start_rule import RULES
 from planner.world.threats import all_threats, layers, one_source
 from planner.world.vector_files import BOUNDARIES, keep_out, read_field
@@ -170,20 +170,21 @@ def _seconds_in(keys: dict[str, Key], world: World) -> float | None:
 
 DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 """Keys of a scenario file that are always there."""
-IN_DOUBT = ("latent_hazard", "map_uncertainty", "moving_threats", "phases")
-"""Keys of uncertain or changing threats, of which a scenario may have one."""
 SETTINGS = ("levels", "policy", "risk_cap", "robot_value", "plan_for", "weibull_shape", "deadline", "in_area")
 OF_ROBOTS = ("range", "hazard_multiplier", "return_to", "recharge", "deliver_every", "types", "steps_per_move", "radio")
 """Planner settings as keys of a scenario, and those under its key `robots`."""
 OPTIONAL = (
-    "cell_size", "datum", "keepout", "robots", *IN_DOUBT, "plan_on", "value", "detect", *KNOWLEDGE,
+    "cell_size", "datum", "keepout", "robots", *UNCERTAIN, "plan_on", "value", "detect", *KNOWLEDGE,
     "metrics", *ROUTE_KEYS, *TIME_KEYS, *SETTINGS,
 )  # fmt: skip
 """Optional keys."""
-OF_FIELDS = ("boundary", "direction", "swath")
-"""Further keys with the polygons of a field."""
-OF_MAP = ("file", "elevation", "max_slope_deg", "resolution", "topic", "polygons", *OF_FIELDS)
-"""Keys under `map`."""
+OF_MAP = {
+    "file": ("resolution", "topic"),
+    "elevation": ("max_slope_deg", "resolution"),
+    "polygons": ("boundary", "direction", "swath"),
+}
+"""Kinds of maps, and further keys under `map` of each."""
+MAP_KEYS = tuple(dict.fromkeys(itertools.chain(OF_MAP, *OF_MAP.values())))
 DEGREES_ROUND = Numbers(-180, 180, "degrees")
 SMALL_ROBOT = 0.2
 """Metres: a cell is a robot's footprint, and few robots are smaller."""
@@ -253,7 +254,7 @@ def _size_note(world: World, bare: bool) -> str:
 
 def place_of(name: str) -> str:
     """Where a scenario has this key, for messages; "" if it has none of this name."""
-    if name in OF_MAP:
+    if name in MAP_KEYS:
         return f"`map: {{file: ..., {name}: ...}}`"
     return f"`{name}: ...` next to `map: ...`" if name in (*OPTIONAL, *DEFAULTS) else ""
 
@@ -294,7 +295,7 @@ def read_on(world: World, top: Key) -> World:
         InputError: a key or file is invalid.
     """
     keys = top.mapping(optional=OPTIONAL, defaults=DEFAULTS)
-    return _scenario(coarsen(world_grid(world), None), keys, Path(top.source))
+    return _scenario(coarsen(Grid.of(world), None), keys, Path(top.source))
 
 
 def _no_map(top: Key) -> InputError:
@@ -317,32 +318,34 @@ def _map(key: Key, cell_size: float | None) -> Grid:
     # A file name alone is short for `{file: ...}`.
     if isinstance(key.value, str):
         key = Key({"file": key.value}, key.path, key.source)
-    keys = key.mapping(optional=OF_MAP)
-    kind = one_source(key, ("file", "elevation", "polygons"))
-    if kind == "elevation":
-        return _elevation(key.mapping(optional=("elevation", "max_slope_deg", "resolution")), cell_size)
-    if kind == "polygons":
-        return _field(key.mapping(("polygons",), optional=OF_FIELDS), cell_size)
-    path = key.mapping(("file",), optional=("resolution", "topic"))["file"].file("a map file", folder=is_bag)
-    top = read_yaml(path, MapError) if path.suffix.lower() in YAML else None
-    if top is not None and isinstance(top.value, dict) and "map" in top.value and not _is_map(top):
-        # A scenario within a scenario would have two sets of threats and robots.
-        raise keys["file"].wrong("a map", "this is a scenario: run it directly")
-    grid = _logged(path, keys["topic"]) if "topic" in keys else load_map(path, cell_size, top)
-    if "resolution" not in keys:
+    keys = key.mapping(optional=MAP_KEYS)
+    kind = one_source(key, OF_MAP)
+    key.mapping((kind,), optional=OF_MAP[kind])
+    resolution = keys["resolution"].number(CELL_SIZE) if "resolution" in keys else None
+    if kind == "file":
+        grid = _of_file(keys, cell_size)
+    else:
+        grid = _field(keys, cell_size) if kind == "polygons" else _elevation(keys, cell_size, resolution)
+    if resolution is None:
         return grid
-    resolution = keys["resolution"].number(CELL_SIZE)
     # The file's own cell size is not overridden: a contradiction is an error, not a choice.
     if grid.measured:
         raise keys["resolution"].wrong(f"none: in the file a pixel has {grid.frame.size:g} m", CELLS_OF_A_MAP)
     return replace(grid, frame=replace(grid.frame, size=resolution), measured=True)
 
 
-def _logged(path: Path, topic: Key) -> Grid:
-    """The map on a topic of a log."""
-    if path.suffix.lower() != ".mcap" and not is_bag(path):
-        raise topic.wrong("none: the map is not in a log (.mcap)", "leave it out")
-    return read_logged_map(path, topic.text("the name of a topic, as /map")).grid()
+def _of_file(keys: dict[str, Key], cell_size: float | None) -> Grid:
+    """The map in a file, or on a topic of a log."""
+    path = keys["file"].file("a map file", folder=is_bag)
+    if "topic" in keys:
+        if path.suffix.lower() != ".mcap" and not is_bag(path):
+            raise keys["topic"].wrong("none: the map is not in a log (.mcap)", "leave it out")
+        return read_logged_map(path, keys["topic"].text("the name of a topic, as /map"))
+    top = read_yaml(path, MapError) if path.suffix.lower() in YAML else None
+    if top is not None and isinstance(top.value, dict) and "map" in top.value and not _is_map(top):
+        # A scenario within a scenario would have two sets of threats and robots.
+        raise keys["file"].wrong("a map", "this is a scenario: run it directly")
+    return load_map(path, cell_size, top)
 
 
 def _field(keys: dict[str, Key], cell_size: float | None) -> Grid:
@@ -357,7 +360,7 @@ def _field(keys: dict[str, Key], cell_size: float | None) -> Grid:
     return read_field(key.file("a file of polygons"), cell_size, boundary, direction, swath)
 
 
-def _elevation(keys: dict[str, Key], cell_size: float | None) -> Grid:
+def _elevation(keys: dict[str, Key], cell_size: float | None, resolution: float | None) -> Grid:
     steepest = None
     if "max_slope_deg" in keys:
         steepest = keys["max_slope_deg"].number(Numbers(0, 90, "degrees", above=True))
@@ -367,13 +370,7 @@ def _elevation(keys: dict[str, Key], cell_size: float | None) -> Grid:
         raster = jacksboro(cell_size)
     else:
         raster = read_elevation(keys["elevation"].file(expected), cell_size)
-    resolution = 1.0
-    if "resolution" in keys:
-        resolution = keys["resolution"].number(CELL_SIZE)
-        if raster.frame is not None:
-            raise keys["resolution"].wrong(f"none: in the file a pixel has {raster.frame.size:g} m")
-    grid = elevation_grid(raster, resolution, steepest)
-    return replace(grid, measured=raster.frame is not None or "resolution" in keys)
+    return replace(elevation_grid(raster, resolution or 1.0, steepest), measured=raster.frame is not None)
 
 
 def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
@@ -396,64 +393,60 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
         keys["weibull_shape"] = keys["weibull_shape"].mapping(("shape",))["shape"]
     asked = _settings(SETTINGS, keys)
     world = replace(world, team=Team(settings=asked, **reported(keys, world)))
-    world = _of_types(_in_the_dark(world, ground, keys), ground, matrix, by_type)
+    world = _with_types(_with_knowledge(world, ground, keys), ground, keys, matrix, by_type)
+    file = ground.grid.world
     # Starts of a world file are pixels: the cell that contains them is the start.
-    own = None if ground.grid.starts is None else ground.grid.starts // ground.ratio
+    own = None if file is None or file.starts is None else file.starts // ground.ratio
     return _with_robots(world, keys["robots"], own) if "robots" in keys else world.with_starts(own)
 
 
 def _with_uncertainty(world: World, ground: Ground, keys: dict[str, Key]) -> World:
     """The world with the uncertainty or change of threats in the scenario, or in its map's world file."""
-    named = [name for name in IN_DOUBT if name in keys]
-    # Draws of a world file belong to exactly its threats: any other threat would contradict them.
-    if ground.grid.uncertainty is not None:
-        if named or keys["threats"].value or ground.grid.threat is None or not _same(world.threat, ground.grid.threat):
-            problem = "has latent hazards, uncertain maps, moving threats or phases: nothing can be added to them"
-            raise MapError(problem, source=ground.grid.source, fix="use the world file without a scenario")
-        return replace(world, uncertainty=ground.grid.uncertainty)
+    named = [name for name in UNCERTAIN if name in keys]
+    if (kept := _kept("uncertainty", world, ground, named, keys)) is not None:
+        return replace(world, uncertainty=kept)
     if "plan_on" in keys and not {"moving_threats", "phases"} & keys.keys():
-        raise keys["plan_on"].wrong(
-            "none without moving_threats or phases", "of uncertain maps it is a key of `map_uncertainty`"
-        )
+        expected, fix = "none without moving_threats or phases", "of uncertain maps it is a key of `map_uncertainty`"
+        raise keys["plan_on"].wrong(expected, fix)
     if len(named) > 1:
         raise keys[named[1]].wrong(f"none together with {named[0]}", "leave one of the two out")
-    if "moving_threats" in keys:
-        return read_movers(keys["moving_threats"], keys.get("plan_on"), world)
-    if "phases" in keys:
-        return read_phases(keys, world, ground)
-    if "latent_hazard" in keys:
-        return read_hazard(keys["latent_hazard"], world, ground)
-    return read_uncertain(keys["map_uncertainty"], world, ground, keys["combine"].value) if named else world
+    return UNCERTAIN[named[0]](keys, world, ground) if named else world
 
 
-def _in_the_dark(world: World, ground: Ground, keys: dict[str, Key]) -> World:
+def _with_knowledge(world: World, ground: Ground, keys: dict[str, Key]) -> World:
     """The world with the unknown map in the scenario, or in its map's world file."""
-    if ground.grid.knowledge is None:
-        return read_knowledge(keys, world, load_input)
-    named = [name for name in KNOWLEDGE if name in keys]
-    if named or keys["threats"].value or ground.grid.threat is None or not _same(world.threat, ground.grid.threat):
-        problem = "has a true map that its robots do not know: nothing can be added to it"
-        raise MapError(problem, source=ground.grid.source, fix="use the world file without a scenario")
-    return replace(world, knowledge=ground.grid.knowledge)
+    kept = _kept("knowledge", world, ground, [name for name in KNOWLEDGE if name in keys], keys)
+    return read_knowledge(keys, world, load_input) if kept is None else replace(world, knowledge=kept)
 
 
-def _of_types(world: World, ground: Ground, matrix: Matrix, by_type: NDArray[np.float64]) -> World:
+def _with_types(
+    world: World, ground: Ground, keys: dict[str, Key], matrix: Matrix, by_type: NDArray[np.float64]
+) -> World:
     """The world with the robot types of the scenario's matrix, or of its map's world file."""
-    if not matrix and ground.grid.types is None:
-        return world
-    if ground.grid.types is not None:
-        if matrix or ground.grid.threat is None or not _same(world.threat, ground.grid.threat):
-            problem = "has robot types: nothing can be added to them"
-            raise MapError(problem, source=ground.grid.source, fix="use the world file without a scenario")
+    if (kept := _kept("types", world, ground, matrix, keys)) is not None:
         # Keys of the scenario have priority over the assignment in the world file.
-        given = ground.grid.types.team
-        team = replace(world.team, settings={"types": given, **world.team.settings}) if given else world.team
-        return replace(world, types=ground.grid.types, team=team)
-    return replace(world, types=checked_types(tuple(matrix), by_type, world.free, world.source))
+        team = {"types": kept.team} if kept.team else {}
+        return replace(world, types=kept, team=replace(world.team, settings=team | {**world.team.settings}))
+    types = checked_types(tuple(matrix), by_type, world.free, world.source) if matrix else None
+    return replace(world, types=types)
 
 
-def _same(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
-    return np.array_equal(one, other, equal_nan=True)
+def _kept(name: str, world: World, ground: Ground, added: Collection[str], keys: dict[str, Key]) -> Any:
+    """This attribute of the map's world file, or None.
+
+    It belongs to exactly the threats of the file: any other would contradict it.
+
+    Raises:
+        MapError: the scenario adds threats, or names the keys `added`.
+    """
+    file = ground.grid.world
+    kept = None if file is None else getattr(file, name)
+    if file is None or kept is None:
+        return None
+    if added or keys["threats"].value or not np.array_equal(world.threat, file.threat, equal_nan=True):
+        problem, fix = f"nothing can be added to its {kept.description}", "use the world file without a scenario"
+        raise MapError(problem, source=ground.grid.source, fix=fix)
+    return kept
 
 
 def _with_robots(world: World, key: Key, own: NDArray[np.int64] | None) -> World:

@@ -81,17 +81,18 @@ def _sense(key: Key, more: tuple[str, ...]) -> SensorRange:
     return {name: one.value for name, one in key.mapping(("range", *more), optional=("sight",)).items()}
 
 
-def read_movers(key: Key, plan_on: Key | None, world: World) -> World:
+def read_movers(keys: dict[str, Key], world: World, ground: Ground) -> World:
     """The world of a scenario with `moving_threats: [{walk: s | patrol: [[r, c], ...], start, h, count}, ...]`.
 
     Args:
-        key: of the moving threats.
-        plan_on: of the scenario, or None.
+        keys: of the scenario.
         world: its map.
+        ground: its cells.
 
     Raises:
         ScenarioError: a key is invalid.
     """
+    key, plan_on = keys["moving_threats"], keys.get("plan_on")
     items = key.items("a list of moving threats, each {walk or patrol, h}")
     chosen: Any = None if plan_on is None else plan_on.choice(PLAN_ON)
     with key.naming():
@@ -126,17 +127,18 @@ def read_phases(keys: dict[str, Key], world: World, ground: Ground) -> World:
         return replace(world, notes=tuple(notes)).with_phases(pairs, plan_on)
 
 
-def read_hazard(key: Key, world: World, ground: Ground) -> World:
+def read_hazard(keys: dict[str, Key], world: World, ground: Ground) -> World:
     """The world of a scenario with `latent_hazard: {kind, q, h, learn}`; default: q by `threats`, h 1.
 
     Args:
-        key: of the hazard.
-        world: the scenario's map.
+        keys: of the scenario.
+        world: its map.
         ground: its cells.
 
     Raises:
         ScenarioError, MapError: a key or file is invalid.
     """
+    key = keys["latent_hazard"]
     keys = key.mapping(("kind",), ("q", "h"), {"learn": False})
     kind, learn = keys["kind"].choice(("independent", *HAZARDS)), keys["learn"].value
     if not isinstance(learn, bool):
@@ -167,18 +169,19 @@ def _chances(key: Key, world: World, ground: Ground) -> tuple[ArrayLike, tuple[s
     return found.p, tuple(f"{key.path}: {note}" for note in found.notes)
 
 
-def read_uncertain(key: Key, world: World, ground: Ground, combine: str) -> World:
+def read_uncertain(keys: dict[str, Key], world: World, ground: Ground) -> World:
     """The world of a scenario with `map_uncertainty: {maps or spread, plan_on}`.
 
     Args:
-        key: of the uncertainty.
-        world: the scenario's map.
+        keys: of the scenario.
+        world: its map.
         ground: its cells.
-        combine: how maps combine with the scenario's `threats`, key of `COMBINE`.
 
     Raises:
         ScenarioError, MapError: a key or file is invalid.
     """
+    # Maps combine with the scenario's `threats` as these do with each other.
+    key, combine = keys["map_uncertainty"], keys["combine"].value
     keys = key.mapping(optional=("maps", "rule", "spread", "plan_on"))
     if ("maps" in keys) == ("spread" in keys):
         raise key.wrong("either maps or spread")
@@ -201,3 +204,12 @@ def _read_spread(key: Key, world: World, plan_on: float | None) -> World:
     kind = key.mapping(("kind",), ("by", *AMOUNT.values()))["kind"].choice(SPREADS)
     keys = key.mapping(("kind", AMOUNT[kind]), defaults={"by": SHARED[0]})
     return world.with_spread(kind, keys[AMOUNT[kind]].number(AMOUNTS), keys["by"].choice(SHARED), plan_on)
+
+
+UNCERTAIN = {
+    "latent_hazard": read_hazard,
+    "map_uncertainty": read_uncertain,
+    "moving_threats": read_movers,
+    "phases": read_phases,
+}
+"""Keys of uncertain or changing threats, of which a scenario may have one, and their readers."""

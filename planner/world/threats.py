@@ -11,19 +11,18 @@ from numpy.typing import NDArray
 
 from planner.arguments import ANY, POSITIVE, SEED, Numbers, whole
 from planner.formatting import counted
+from planner.world.frame import Frame
 from planner.world.generate import LEVEL, PAPER_LEVELS, ThreatPattern, most_areas, random_threats
 from planner.world.grid import Grid, Ground
 from planner.world.image_files import read_ros_map
-from planner.world.keys import DETECT, DISTANCE, PROBABILITY, SAMPLE, SHARE, VALUE, Key, Quantity, first_of
+from planner.world.keys import DETECT, DISTANCE, PROBABILITY, SAMPLE, SHARE, THREAT, VALUE, Key, Quantity, first_of
 from planner.world.points import (
     COLUMNS,
-    CUT_OFF,
     KINDS,
     check_place,
     farthest,
     interpolated,
     point_spreads,
-    point_threat,
     read_points,
     values_over,
 )
@@ -124,7 +123,7 @@ def all_threats(
         ScenarioError, MapError: an invalid source or file.
     """
     shape, types = ground.frame.shape, check_types(keys, matrix)
-    threat = np.zeros(shape) if ground.grid.threat is None else ground.largest(ground.grid.threat)
+    threat = np.zeros(shape) if ground.grid.world is None else ground.largest(ground.grid.world.threat)
     # The map's own threat has no type: its factor is 1 for all robots.
     by_type = np.repeat(np.where(ground.free, threat, 0.0)[None], len(matrix), axis=0)
     notes: list[str] = []
@@ -276,21 +275,41 @@ def _points(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
         raise keys["points"].wrong(f"{spread} (or of samples interpolate: {{kind: {' | '.join(KINDS)}}})")
     if "rule" in keys:
         raise keys["rule"].wrong("none with falloff: strength is p", "leave it out")
-    kind, radius = read_falloff(keys["falloff"])
-    path = keys["points"].file("a CSV file with x, y, strength")
-    frame, place = ground.grid.frame, ground.grid.georeference
-    points, names, notes = read_points(path, frame, place, said=columns_said(keys))
-    spreads = point_spreads(points, kind, radius, frame)
-    things = [Thing(*name, *spread) for name, spread in zip(names, spreads, strict=True)]
-    at = frame.pixels(points[:, :2])
+    frame = ground.grid.frame
+    things, places, notes = _of_points(keys, THREAT, frame, ground)
+    at = frame.pixels(places)
     outside = int((~frame.holds(at)).sum())
-    if points[:, 2].any() and not any(thing.p.any() for thing in things):
-        check_place(keys["points"], points[:, :2], frame, place, "threatens nothing")
-    notes += (f"{outside} of {len(points)} points lie off the map",) if outside else ()
+    notes += (f"{outside} of {len(at)} points lie off the map",) if outside else ()
     # Degrees read as metres put all points into one pixel.
-    if len(np.unique(points[:, :2], axis=0)) > 1 and len(np.unique(at, axis=0)) == 1:
-        notes += (f"all {len(points)} points lie in one pixel: are x and y in metres?",)
+    if len(np.unique(places, axis=0)) > 1 and len(np.unique(at, axis=0)) == 1:
+        notes += (f"all {len(at)} points lie in one pixel: are x and y in metres?",)
     return _of_things(things, combine, ground, notes)
+
+
+def _of_points(
+    keys: dict[str, Key], of: Quantity, frame: Frame, ground: Ground
+) -> tuple[list[Thing], NDArray[np.float64], tuple[str, ...]]:
+    """Points as objects on the pixels of a frame, over the area of `falloff`, else in the pixel that holds them.
+
+    Returns:
+        (objects, their (x, y) float64 `[n, 2]`, notes).
+    """
+    place, falloff = ground.grid.georeference, None
+    if "falloff" in keys:
+        given = keys["falloff"].mapping(("kind", "radius"))
+        falloff = given["kind"].choice(("gaussian", "disc")), given["radius"].number(DISTANCE)
+    path = keys["points"].file("a CSV file with x, y, strength")
+    points, names, notes = read_points(path, frame, place, of, columns_said(keys))
+    if falloff is not None:
+        spreads = list(point_spreads(points, *falloff, frame))
+    else:
+        at = frame.pixels(points[:, :2])
+        cells = np.where(frame.holds(at), at[:, 0] * frame.shape[1] + at[:, 1], -1)
+        spreads = [(cell[cell >= 0], p[cell >= 0]) for cell, p in zip(cells[:, None], points[:, 2:], strict=True)]
+    things = [Thing(*name, *spread) for name, spread in zip(names, spreads, strict=True)]
+    if points[:, 2].any() and not any(len(thing.at) for thing in things):
+        check_place(keys["points"], points[:, :2], frame, place, "covers no cell")
+    return things, points[:, :2], notes
 
 
 def _samples(keys: dict[str, Key], ground: Ground) -> Threat:
@@ -320,27 +339,27 @@ def columns_said(keys: dict[str, Key]) -> dict[str, str]:
     return {what: keys[what].text("the name of a column") for what in COLUMNS if what in keys}
 
 
-def read_falloff(key: Key) -> tuple[str, float]:
-    """Kind and radius in metres of the area that points affect."""
-    falloff = key.mapping(("kind", "radius"))
-    return falloff["kind"].choice(("gaussian", "disc")), falloff["radius"].number(DISTANCE)
-
-
 def _polygon(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
-    default = keys["p"].number(PROBABILITY) if "p" in keys else None
-    frame, path = ground.grid.frame, keys["polygons"].file("a file of polygons")
-    features, _, said = read_polygons(path, default, frame, ground.grid.georeference)
-    things: list[Thing] = []
-    notes = []
+    things, said = _of_polygons(keys, THREAT, ground.grid.frame, ground)
+    empty = [index for index, thing in enumerate(things) if not len(thing.at)]
+    notes = [f"features[{index}] holds no pixel's centre: no threat from it" for index in empty]
+    return _of_things(things, combine, ground, (*said, *notes))
+
+
+def _of_polygons(
+    keys: dict[str, Key], of: Quantity, frame: Frame, ground: Ground
+) -> tuple[list[Thing], tuple[str, ...]]:
+    """Polygons as objects on the pixels of a frame whose centre they hold; notes."""
+    default = keys[of.name].number(of.numbers) if of.name in keys else None
+    path, place = keys["polygons"].file("a file of polygons"), ground.grid.georeference
+    features, _, notes = read_polygons(path, default, frame, place, of)
+    things = []
     for index, feature in enumerate(features):
         at = np.flatnonzero(feature.mask(frame))
-        if not len(at):
-            notes.append(f"features[{index}] holds no pixel's centre: no threat from it")
         things.append(Thing(feature.name, f"features[{index}] of {path.name}", at, np.full(len(at), feature.number)))
-    if len(notes) == len(features):
-        corners = np.concatenate(rings_of(features))
-        check_place(keys["polygons"], corners, frame, ground.grid.georeference, "threatens nothing")
-    return _of_things(things, combine, ground, (*said, *notes))
+    if not any(len(thing.at) for thing in things):
+        check_place(keys["polygons"], np.concatenate(rings_of(features)), frame, place, "covers no cell")
+    return things, notes
 
 
 def _viewshed(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
@@ -427,7 +446,7 @@ SOURCES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Key], str, Ground]
 # Values and detection probabilities of cells: the keys `value` and `detect` of a scenario (SPEC section 13).
 
 Layer = NDArray[np.float64]
-NOWHERE = "covers no cell"
+Merge = Callable[[Layer, Layer], Layer]
 
 
 class Says(NamedTuple):
@@ -457,7 +476,8 @@ def layers(keys: dict[str, Key], ground: Ground) -> tuple[dict[str, Layer | None
 
 def _value_layer(key: Key | None, of: Quantity, ground: Ground) -> tuple[Layer | None, tuple[str, ...]]:
     """The map's own layer, else 1 everywhere, overwritten by one source after the other; notes."""
-    own = getattr(ground.grid, of.name)
+    own = np.ones(ground.grid.frame.shape) if of is VALUE and ground.grid.swath is not None else None
+    own = own if ground.grid.world is None else getattr(ground.grid.world, of.name)
     own = None if own is None else _over_pixels(of, ground)(own)
     notes: tuple[str, ...] = ()
     if key is None:
@@ -509,41 +529,21 @@ def _raster(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
 
 def _polygons(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     """The number of the last polygon that holds the centre of a cell."""
-    default = keys[of.name].number(of.numbers) if of.name in keys else None
-    frame, place = ground.frame, ground.grid.georeference
-    features, _, notes = read_polygons(keys["polygons"].file("a file of polygons"), default, frame, place, of)
-    says, where = np.zeros(frame.shape), np.zeros(frame.shape, dtype=bool)
-    for feature in features:
-        held = feature.mask(frame)
-        says, where = np.where(held, feature.number, says), where | held
-    if not where.any():
-        check_place(keys["polygons"], np.concatenate(rings_of(features)), frame, place, NOWHERE)
-    return Says(says, where, notes)
+    return _laid(*_of_polygons(keys, of, ground.frame, ground), lambda before, number: number, ground)
 
 
 def _value_points(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
-    """Points with a strength each, over the area of `falloff`, else in the cell that holds them.
+    """Points with a strength each. If several affect a cell, values add up, and the largest detection counts."""
+    things, _, notes = _of_points(keys, of, ground.frame, ground)
+    return _laid(things, notes, np.add if of is VALUE else np.maximum, ground)
 
-    If several affect a cell, values add up, and the largest detection probability counts.
-    """
-    key, frame, place = keys["points"], ground.frame, ground.grid.georeference
-    path = key.file("a CSV file with x, y, strength")
-    points, _, notes = read_points(path, frame, place, of, columns_said(keys))
-    merge = np.add if of is VALUE else np.maximum
-    if "falloff" in keys:
-        kind, radius = read_falloff(keys["falloff"])
-        says = point_threat(points, kind, radius, frame, merge)
-        # With strength 1, so that points of strength 0 count as covering their cells too.
-        touched = np.column_stack([points[:, :2], np.ones(len(points))])
-        where = point_threat(touched, "disc", radius if kind == "disc" else CUT_OFF * radius, frame, np.maximum) > 0
-    else:
-        at = frame.pixels(points[:, :2])
-        held = frame.holds(at)
-        says, where = np.zeros(frame.shape), np.zeros(frame.shape, dtype=bool)
-        merge.at(says, tuple(at[held].T), points[held, 2])
-        where[tuple(at[held].T)] = True
-    if not where.any():
-        check_place(key, points[:, :2], frame, place, NOWHERE)
+
+def _laid(things: Sequence[Thing], notes: tuple[str, ...], merge: Merge, ground: Ground) -> Says:
+    """Objects on the cells; `merge` gives the number of a cell from that before and the object's."""
+    says, where = np.zeros(ground.frame.shape), np.zeros(ground.frame.shape, dtype=bool)
+    for thing in things:
+        says.flat[thing.at] = merge(says.flat[thing.at], thing.p)
+        where.flat[thing.at] = True
     return Says(says, where, notes)
 
 

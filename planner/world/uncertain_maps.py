@@ -260,12 +260,10 @@ def uncertain_in(arrays: Mapping[str, NDArray], free: NDArray[np.bool_], source:
     chances, column, number = (arrays[f"uncertain_{name}"] for name in ("chances", "column", "number"))
     whole = all(array.dtype.kind == "i" and array.shape == free.shape for array in (column, number))
     fits = chances.ndim == 2 and chances.dtype == np.float32 and bool(((chances >= 0) & (chances < 1)).all())
-    if not (whole and fits and chances.size):
+    fits = fits and whole and chances.size > 0 and 0 <= number.min() <= number.max() <= MOST_LEVELS
+    if not (fits and np.where(free, (column >= 0) & (column < chances.shape[1]), column == NO_COLUMN).all()):
         problem = "uncertain_chances, _column and _number do not fit the map"
         raise WorldError(problem, source=source, expected="chances float32 [M, C], the others int32 [H, W]")
-    placed = np.where(free, (column >= 0) & (column < chances.shape[1]), column == NO_COLUMN)
-    if not placed.all() or number.min() < 0 or number.max() > MOST_LEVELS:
-        raise WorldError("uncertain_column or _number is out of range", source=source)
     said = str(arrays.get("uncertain_said", "maps of a world file"))
     return Uncertain(np.ascontiguousarray(chances), column.astype(np.int32), number.astype(np.int32), said)
 

@@ -18,24 +18,21 @@ from numpy.typing import NDArray
 
 from planner.errors import MapError
 from planner.files import check_size, is_number, library_errors, printable, read_json
-from planner.world.grid import (
-    FREE,
+from planner.world.frame import (
     HOW_TO_GIVE_ONE,
-    OCCUPIED,
     PLAIN_DEGREES,
     TURN,
     WGS84,
-    WHOLE,
     Frame,
     Georeference,
-    Grid,
     degree_sides,
     is_degrees,
     principal,
     reproject,
     turn_of,
 )
-from planner.world.image_files import FULL, read_ros_map
+from planner.world.grid import OCCUPIED, WHOLE, Grid, occupied
+from planner.world.image_files import read_ros_map
 from planner.world.keys import COORDINATE, FARTHEST, THREAT, Key, Quantity
 from planner.world.points import (
     IN_METRES,
@@ -295,10 +292,7 @@ def read_polygons(
         raise MapError(f"its crs is {crs[:60]!r}, degrees", source=path, expected="metres", fix=fix)
     if georeference is None or not crs:
         return shapes._replace(features=found)
-    try:
-        return shapes._replace(features=_on_map(found, crs, frame, georeference, path))
-    except MapError as error:
-        raise MapError(error.problem, source=path, expected=error.expected, fix=error.fix) from error
+    return shapes._replace(features=_on_map(found, crs, frame, georeference, path))
 
 
 def _on_map(features: list[Feature], crs: str, frame: Frame, georeference: Georeference, path: Path) -> list[Feature]:
@@ -310,7 +304,9 @@ def _on_map(features: list[Feature], crs: str, frame: Frame, georeference: Geore
     corners = frame.at([0, 0, *frame.shape[:1] * 2], [0, frame.shape[1]] * 2)[:, 0]
     # A turn in metres of the frame: the interval of x in which polygons are looked for.
     place = float(corners.min()), float(corners.max()), turn_of(georeference.crs)[0] / georeference.scale[0]
-    moved = [[[georeference.from_crs(ring, crs) for ring in rings] for rings in of.polygons] for of in features]
+    moved = [
+        [[georeference.from_crs(ring, crs, str(path)) for ring in rings] for rings in of.polygons] for of in features
+    ]
     return [of._replace(polygons=unrolled(areas, *place)[0]) for of, areas in zip(features, moved, strict=True)]
 
 
@@ -471,7 +467,7 @@ def read_field(
             crossed |= touched(rings, frame)
     free = held & ~crossed
     if not free.any():
-        raise _no_cell(polygons, place, cell_size, boundary, path)
+        raise _no_cell(polygons, place, cell_size, path)
     lost = int((held & crossed).sum())
     if lost:
         notes += (
@@ -480,9 +476,7 @@ def read_field(
         )
     if any(feature.number is not None for feature in shapes.features):
         notes += ("its property p is not read, as this is the map: name the file under `threats` of a scenario too",)
-    state = np.where(free, FREE, OCCUPIED).astype(np.uint8)
-    worth = None if swath is None else np.ones(frame.shape)
-    return Grid(state, frame, str(path), notes=notes, georeference=place, value=worth, swath=swath)
+    return Grid(occupied(~free), frame, str(path), notes=notes, georeference=place, swath=swath)
 
 
 def _union(polygons: list[Rings]) -> list[Rings]:
@@ -527,18 +521,14 @@ def touched(rings: Rings, frame: Frame) -> NDArray[np.bool_]:
     return np.cumsum(counts, axis=1)[:, :width] > 0
 
 
-def _no_cell(
-    polygons: list[Rings], place: Georeference | None, cell_size: float, boundary: str, path: Path
-) -> MapError:
-    """The error for a field without free cells: it gives the size of the field, and its position if in degrees."""
+def _no_cell(polygons: list[Rings], place: Georeference | None, cell_size: float, path: Path) -> MapError:
+    """The error for a field without free cells: it gives the size of the field, and its position on the Earth."""
     corners = np.concatenate([ring for rings in polygons for ring in rings])
     across, up = np.ptp(corners, axis=0).tolist()
-    problem = f"no cell of {cell_size:g} m lies {'whole' if boundary == 'whole' else 'with its centre'} in the field"
-    problem, fix = f"{problem} of {across:.4g} x {up:.4g} m", "give smaller cells"
+    problem = f"no cell of {cell_size:g} m lies in the field of {across:.4g} x {up:.4g} m"
+    fix = "give smaller cells"
     if place is not None:
-        (east, north), *_ = principal(place.to_lonlat(corners[:1], str(path))).tolist()
-        problem += f" at {describe(east, north)}"
-    if place is not None and place.crs == WGS84:
+        problem += f" at {describe(*principal(place.to_lonlat(corners[:1], str(path)))[0].tolist())}"
         fix += ", or swap latitude and longitude if it does not lie there"
     return MapError(problem, source=path, fix=fix)
 
@@ -580,24 +570,26 @@ def _in_metres(shapes: Shapes, path: Path, cell_size: float) -> Placed:
     crs = shapes.crs or (WGS84 if shapes.crs == "" and small else "")
     if not crs:
         return polygons, False, None, ("its coordinates are read as metres of a local frame: it names no CRS",)
-    if crs == WGS84:
-        return _degrees(polygons, path, cell_size)
     with library_errors(f"its CRS is {crs[:60]!r}", path, "a CRS that PROJ knows, in degrees or metres"):
         from rasterio.crs import CRS
 
         known = CRS.from_user_input(crs)
-        if known.is_geographic:
-            check_range(corners, "", path)
-            moved = [[reproject(ring, crs, WGS84) for ring in rings] for rings in polygons]
-            return _degrees(moved, path, cell_size)
-        unit = float(known.linear_units_factor[1])
-    place, turn = Georeference(crs, scale=(1 / unit, 1 / unit)), turn_of(crs)[0]
-    polygons, width = closed(polygons, turn, cell_size / unit)
+        side = 1.0 if known.is_geographic else float(known.linear_units_factor[1])
+    notes: tuple[str, ...] = ()
+    if known.is_geographic:
+        check_range(corners, "", path)
+        polygons = [[reproject(ring, crs, WGS84) for ring in rings] for rings in polygons]
+        corners = np.concatenate([ring for rings in polygons for ring in rings])
+        place, side, notes = _degrees(corners, path)
+    else:
+        place = Georeference(crs, scale=(1 / side, 1 / side))
+    turn = turn_of(place.crs)[0]
+    polygons, width = closed(polygons, turn, cell_size / side)
     areas, is_cut = unrolled(polygons, *extent(corners[:, 0], turn), turn)
-    moved = [[ring * unit for ring in rings] for rings in areas]
+    moved = [[place.from_crs(ring, place.crs) for ring in rings] for rings in areas]
     if not all(COORDINATE.accepts(float(np.abs(ring).max())) for rings in moved for ring in rings):
         raise MapError("a corner too far away", source=path, expected=COORDINATE.expected)
-    return moved, is_cut, place, _of_the_cut(width * unit, cell_size)
+    return moved, is_cut, place, (*notes, *_of_the_cut(width * side, cell_size))
 
 
 def _spans_a_field(corners: NDArray[np.float64]) -> bool:
@@ -616,8 +608,8 @@ def _of_the_cut(width: float, cell_size: float) -> tuple[str, ...]:
     return (f"its parts, {width:.2g} m apart where longitudes come round, {what}",)
 
 
-def _degrees(polygons: list[Rings], path: Path, cell_size: float) -> Placed:
-    corners = np.concatenate([ring for rings in polygons for ring in rings])
+def _degrees(corners: NDArray[np.float64], path: Path) -> tuple[Georeference, float, tuple[str, ...]]:
+    """(metres about the lower-left of (longitude, latitude) `[n, 2]`, metres of a degree of longitude, notes)."""
     check_range(corners, "", path)
     (west, east), (south, north) = extent(corners[:, 0], TURN), (corners[:, 1].min(), corners[:, 1].max())
     if max(east - west, north - south) > WIDEST or max(-south, north) > 89:
@@ -625,14 +617,10 @@ def _degrees(polygons: list[Rings], path: Path, cell_size: float) -> Placed:
         expected = f"degrees, -89 .. 89 north, a field of at most {WIDEST:g} degrees"
         raise MapError(problem, source=path, expected=expected, fix="name the file's CRS, if it is another")
     up, across = degree_sides((south + north) / 2)
-    place = Georeference(WGS84, (float(west), float(south)), (1 / across, 1 / up))
     off = max(abs(degree_sides(edge)[1] / across - 1) for edge in (south, north))
     note = f"degrees: worked on in metres east and north of {describe(west, float(south))}"
     note += f", {100 * off:.2g} % off at the edges" if off > 1e-3 else ""
-    polygons, width = closed(polygons, TURN, cell_size / across)
-    areas, is_cut = unrolled(polygons, west, east, TURN)
-    moved = [[place.from_crs(ring, WGS84) for ring in rings] for rings in areas]
-    return moved, is_cut, place, (note, *_of_the_cut(width * across, cell_size))
+    return Georeference(WGS84, (float(west), float(south)), (1 / across, 1 / up)), across, (note,)
 
 
 # Keep-out areas of a scenario as obstacles of the map: polygons, and occupied pixels of another map.
@@ -649,7 +637,7 @@ def keep_out(key: Key, grid: Grid) -> Grid:
         ScenarioError: an invalid key, or an area without pixels.
         MapError: a file is invalid.
     """
-    state, notes = grid.state.copy(), list(grid.notes)
+    occupancy, notes = grid.occupancy.copy(), list(grid.notes)
     for item in key.items("a list of {polygons: ...} and {layer: ...}"):
         keys = item.mapping(optional=("polygons", "layer"))
         if len(keys) != 1:
@@ -657,7 +645,7 @@ def keep_out(key: Key, grid: Grid) -> Grid:
         (kind,) = keys
         if kind == "layer":
             layer = read_ros_map(keys[kind].file("a map_server YAML file"))
-            held = values_over(layer, grid.frame) >= FULL
+            held = values_over(layer, grid.frame) >= OCCUPIED
             notes.extend(f"{item.path}: {note}" for note in layer.notes)
         else:
             path = keys[kind].file("a file of polygons")
@@ -666,6 +654,6 @@ def keep_out(key: Key, grid: Grid) -> Grid:
             notes += [f"{item.path}: {note}" for note in shapes.notes]
         if not held.any():
             raise keys[kind].wrong("something on the map", "it keeps robots out of no pixel: check its coordinates")
-        state[held] = OCCUPIED
+        occupancy[held] = OCCUPIED
         notes.append(f"{item.path}: {int(held.sum())} pixels are kept out of")
-    return replace(grid, state=state, notes=tuple(notes))
+    return replace(grid, occupancy=occupancy, notes=tuple(notes))

@@ -30,8 +30,19 @@ from planner.files import (
 )
 from planner.formatting import TURNS, UNPACED, Pace, chance, html_of, pace_of, text_of
 from planner.simulator.codes import NO_CELL
-from planner.world.grid import HOW_TO_GIVE_ONE, LONGEST, Frame, Georeference, principal
-from planner.world.keys import CELL_SIZE, COORDINATE, DETECT, POSE, PROBABILITY, SCALE, VALUE, checked_layer, first_of
+from planner.world.frame import HOW_TO_GIVE_ONE, LONGEST, Frame, Georeference, principal
+from planner.world.keys import (
+    CELL_SIZE,
+    COORDINATE,
+    DETECT,
+    POSE,
+    PROBABILITY,
+    SCALE,
+    VALUE,
+    as_numbers,
+    checked_layer,
+    first_of,
+)
 from planner.world.levels import entry_costs, find_levels
 from planner.world.map_knowledge import Knowledge, Sense, make_detector, make_knowledge, make_sense
 from planner.world.moving_threats import (
@@ -765,29 +776,21 @@ def check_starts(starts: ArrayLike, threat: NDArray[np.float32], source: str) ->
         WorldError: names the first robot that does not start on a free cell.
     """
     given = np.asarray(starts)
-    if np.ma.is_masked(starts):
-        raise WorldError("starts hold masked values", source=source, expected="[row, col] of every robot")
-    if given.ndim != 2 or given.shape[1] != 2 or len(given) == 0:
-        raise WorldError(f"starts have shape {given.shape}", source=source, expected="one [row, col] a robot: [K, 2]")
-    if len(given) > MAX_ROBOTS:
-        raise WorldError(f"{len(given)} robots", source=source, expected=f"at most {MAX_ROBOTS}")
-    if given.dtype.kind not in "iu" and not (given.dtype.kind == "f" and (given == np.round(given)).all()):
-        raise WorldError("starts are not whole numbers", source=source, expected="[row, col] as integers")
+    is_whole_numbers = given.dtype.kind in "iu" or (given.dtype.kind == "f" and (given == np.round(given)).all())
+    pairs = given.ndim == 2 and given.shape[1] == 2 and 0 < len(given) <= MAX_ROBOTS
+    if not (pairs and is_whole_numbers) or np.ma.is_masked(starts):
+        problem = f"starts are {_as_text(starts)}, of shape {given.shape}"
+        expected = f"[row, col] as whole numbers, one a robot, of at most {MAX_ROBOTS}: [K, 2]"
+        raise WorldError(problem, source=source, expected=expected)
     height, width = threat.shape
     for robot, (row, col) in enumerate(given.tolist()):
-        if not (0 <= row < height and 0 <= col < width):
-            raise WorldError(
-                f"robot {robot} starts at [{row:.15g}, {col:.15g}], outside the map",
-                source=source,
-                expected=f"row 0..{height - 1} and col 0..{width - 1}",
-            )
-        if np.isnan(threat[int(row), int(col)]):
-            raise WorldError(
-                f"robot {robot} starts at [{int(row)}, {int(col)}], an obstacle",
-                source=source,
-                expected="a free cell",
-                fix=f"move the start, or use {argument('robots')} instead of {argument('starts')}",
-            )
+        inside = 0 <= row < height and 0 <= col < width
+        if not inside or np.isnan(threat[int(row), int(col)]):
+            what = "an obstacle" if inside else "outside the map"
+            problem = f"robot {robot} starts at [{row:.15g}, {col:.15g}], {what}"
+            expected = f"a free cell, row 0..{height - 1} and col 0..{width - 1}"
+            fix = f"move the start, or use {argument('robots')} instead of {argument('starts')}"
+            raise WorldError(problem, source=source, expected=expected, fix=fix)
     return given.astype(np.int64)
 
 
@@ -807,29 +810,14 @@ def _as_text(value: ArrayLike) -> str:
     return reprlib.repr(value.tolist() if isinstance(value, np.ndarray | np.generic) and value.size < 10 else value)
 
 
-def _fix_of(threat: float) -> str:
-    """A fix for an invalid threat."""
-    if threat == 1:
-        return "p = 1 is an obstacle: write NaN"
-    if threat == -1:
-        return "-1 is an obstacle in .csv files only: write NaN"
-    return "it rounds to 1: write at most 0.9999999" if 0.9 < threat < 1 else ""
-
-
 def _checked_threat(threat: ArrayLike, source: str) -> tuple[NDArray[np.float32], int]:
     """The threat array, and the number of its threats that are too small for float32."""
-    try:
-        array = np.asarray(threat)
-    except ValueError:
-        raise WorldError("threat has rows of different lengths", source=source, expected="a grid [H, W]") from None
-    if isinstance(threat, np.ma.MaskedArray) and array.dtype.kind in "fiub":
+    array = as_numbers(threat, "threat", source, "fiub")
+    if isinstance(threat, np.ma.MaskedArray):
         array = np.where(np.ma.getmaskarray(threat), np.nan, array)
-    if array.ndim != 2 or array.size == 0:
-        raise WorldError(f"threat has shape {array.shape}", source=source, expected="a grid [H, W] of at least 1 x 1")
-    if array.size > MAX_CELLS:
-        raise WorldError(f"{array.size} cells", source=source, expected=f"at most {MAX_CELLS}", fix="coarsen the map")
-    if array.dtype.kind not in "fiub":
-        raise WorldError(f"threat holds {array.dtype}", source=source, expected="numbers")
+    if array.ndim != 2 or not 0 < array.size <= MAX_CELLS:
+        expected = f"a grid [H, W] of 1 to {MAX_CELLS} cells"
+        raise WorldError(f"threat has shape {array.shape}", source=source, expected=expected)
     with np.errstate(over="ignore", under="ignore"):
         values = array.astype(np.float32)
     # Checked as float32, in which 0.99999999 is 1: engines compare float32 values.
@@ -837,7 +825,8 @@ def _checked_threat(threat: ArrayLike, source: str) -> tuple[NDArray[np.float32]
     if wrong.any():
         at, where = first_of(wrong)
         p, expected = float(array[at]), "a probability 0 <= p < 1 as float32, or NaN for an obstacle"
-        raise WorldError(f"threat is {exactly(p)} {where}", source=source, expected=expected, fix=_fix_of(p))
+        fix = "write NaN for an obstacle, at most 0.9999999 for a threat" if p == -1 or 0.9 < p <= 1 else ""
+        raise WorldError(f"threat is {exactly(p)} {where}", source=source, expected=expected, fix=fix)
     if np.isnan(values).all():
         raise WorldError("every cell is an obstacle", source=source, expected="at least one free cell")
     # One bit pattern for NaN and no negative zero: equal maps have equal hashes.

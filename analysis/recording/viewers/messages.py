@@ -32,7 +32,7 @@ from planner.plan.plan import headings
 from planner.rollout_sampling import threat_paths
 from planner.simulator.codes import NO_AREA, NO_ROBOT, NO_STEP, Doing
 from planner.tally import Trace
-from planner.world.image_files import FULL, NO_VALUE
+from planner.world.grid import OCCUPIED, UNKNOWN
 from planner.world.world import World
 
 # Map topics: threats, obstacles, visits, areas with their owners, and the map as robots learn it.
@@ -120,8 +120,8 @@ class MapDrawer:
         inaccessible, or not seen yet, -1."""
         threat = np.nan_to_num(self._threat, nan=0.0).astype(np.float64)
         shade = np.where(threat > 0, np.round(DARK[0] + (DARK[1] - DARK[0]) * threat / max(threat.max(), 1e-9)), 0)
-        shade[np.isnan(self._threat)] = FULL
-        shade[self._unknown] = NO_VALUE
+        shade[np.isnan(self._threat)] = OCCUPIED
+        shade[self._unknown] = UNKNOWN
         return occupancy_grid(time, self.place("threat"), np.flipud(shade).astype(np.int8))
 
     def obstacles(self, time: int) -> Any:
