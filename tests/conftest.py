@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib import import_module
@@ -97,10 +98,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_sessionstart(session: pytest.Session) -> None:
     """A worker reads the programs by which nominal runs are compiled: a plan then takes a tenth of the time."""
     if hasattr(session.config, "workerinput") and session.config.args_source is session.config.ArgsSource.TESTPATHS:
-        from warm import run_missions
+        from warm import run_nominal
 
         for rule in ("mrac", "per_cell"):
-            run_missions(rule, {"transit": "area"})
+            run_nominal(rule)
 
 
 @cache
@@ -122,14 +123,17 @@ def pytest_runtest_setup() -> None:
 
 EFFORTS = {
     "analysis.estimators.trial.EFFORT": 0.01,
+    "analysis.evaluation.outputs.advice.FEWEST": 32.0,
     "analysis.theory.upper_bound.GAIN": 20.0,
     "analysis.theory.upper_bound.PATIENCE": 0.3,
     "analysis.theory.flow_programme.ROUNDS": 0.1,
+    "analysis.theory.flow_programme.MOST": 0.1,
 }
-"""What the quick tests multiply: histories of a tree of all that can happen; where the bound for every strategy ends.
+"""Factors of the quick tests: histories of an exact tree; fewest rollouts of a plan for which there are alternatives;
+where the policy-independent upper bound ends.
 
-Most evaluations in tests are about neither, but each looks for both. A tree that is found is the same; a bound is less
-sharp, but holds. Processes that tests start make the full effort.
+Most evaluations in tests are about none of these. A tree that is found is the same; a bound is less sharp, but holds.
+Processes that tests start make the full effort.
 """
 
 
@@ -150,6 +154,22 @@ def full_effort(little_effort: dict[str, float], monkeypatch: pytest.MonkeyPatch
     """For tests of exact values and bounds, and of other processes that find the same."""
     for name, value in little_effort.items():
         monkeypatch.setattr(name, value)
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """One browser for all tests of a file: to start it is most of what a short one costs."""
+    from page_reader import Browser
+
+    with Browser(tmp_path_factory.mktemp("profile")) as found:
+        yield found
+
+
+@pytest.fixture
+def browser(chromium: Any) -> Any:
+    """The file's browser (`page_reader.Browser`) on an empty page."""
+    chromium.clear()
+    return chromium
 
 
 @pytest.fixture

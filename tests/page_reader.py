@@ -185,6 +185,13 @@ class Browser:
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
         self._driver.quit()
 
+    def clear(self) -> None:
+        """Leave the page, and forget what was noticed and asked."""
+        self._driver.get("about:blank")
+        self.call("Emulation.setTouchEmulationEnabled", enabled=False)
+        self.noticed.clear()
+        self.asked.clear()
+
     @property
     def noticed(self) -> list[str]:
         """Errors and messages of the console so far."""

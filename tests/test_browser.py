@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -51,12 +50,6 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {name: folder / name / "index.html" for name in COMMANDS}
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with Browser(tmp_path_factory.mktemp("profile")) as found:
-        yield found
-
-
 @needs_browser
 @pytest.mark.parametrize("width", [390, 768, 1280])
 @pytest.mark.parametrize("name", list(COMMANDS))
@@ -76,7 +69,7 @@ def test_the_player_plays_to_its_end_and_shows_the_final_coverage(pages: dict[st
     slider = "document.querySelector('.player input[type=range]')"
     said = "document.querySelector('.player output').textContent.replaceAll('\u00a0', ' ')"
     assert browser.run(f"{radios}.length") == 4
-    for number in range(4):
+    for number in (0, 3):
         browser.run(f"{radios}[{number}].click()")
         browser.until(f"{radios}[{number}].checked && {slider}.value === {slider}.max && {said}.startsWith('Step ')")
         whole = browser.run(said)

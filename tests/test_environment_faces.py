@@ -6,7 +6,6 @@ import copy
 import importlib.util
 import os
 import pickle
-import subprocess
 import sys
 import warnings
 from functools import cache
@@ -17,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import run_python
 
 import mrac_jax as mrac
 from planner.world.generate import random_world
@@ -292,16 +292,9 @@ with multiprocessing.get_context("fork").Pool(1) as pool:
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
-def test_after_a_fork_environments_work_or_say_why_not(tmp_path: Path) -> None:
+def test_after_a_fork_environments_work_or_say_why_not() -> None:
     """AsyncVectorEnv's default, before and after JAX had started; an engine in a forked pool."""
-    (tmp_path / "forked.py").write_text(FORKED.replace("\\\\n", "\\n"))
-    root = Path(__file__).parent.parent
-    done = subprocess.run(
-        [sys.executable, "forked.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240, check=False,
-        env=os.environ | {"PYTHONPATH": str(root)},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    wrong, fresh, own, forked, rolled, auto = done.stdout.splitlines()
+    wrong, fresh, own, forked, rolled, auto = run_python(FORKED).splitlines()
     assert float(fresh) == 2 * float(own) > 0
     assert wrong == "UsageError: actions[0]: 9; expected whole numbers, 0 to 4, of shape (2,)"
     for said in (forked, rolled):
@@ -326,13 +319,14 @@ def ppo() -> Any:
     return module
 
 
-def test_a_few_updates_beat_a_random_walk(ppo: Any) -> None:
+@pytest.mark.parametrize("updates", [2, pytest.param(20, marks=pytest.mark.slow)])
+def test_a_few_updates_beat_a_random_walk(ppo: Any, updates: int) -> None:
     said: list[str] = []
     env = mrac.env(ppo.world(), ppo.ROBOTS, face="jax")
-    network = ppo.train(env, ppo.Choices(updates=20, envs=32), 1, said.append)
-    assert len(said) == 10 and "covered" in said[-1]
+    network = ppo.train(env, ppo.Choices(updates=updates, envs=32), 1, said.append)
+    assert len(said) == min(updates, 10) and "covered" in said[-1]
     judged = mrac.judge(ppo.world(), ppo.policy_of(network), ppo.ROBOTS, rollouts=256, against=(), progress=False)
-    assert judged.score is not None and judged.score.mean > 5 * judged.score.se
+    assert judged.score is not None and (judged.score.mean > 5 * judged.score.se or updates < 20)
 
 
 def test_advantages_are_sums_of_errors(ppo: Any) -> None:

@@ -134,9 +134,8 @@ def test_a_key_is_a_seed_and_steps_follow_the_conventions() -> None:
     assert list(seen) == env.agents and seen["agent_0"].shape == env.observation_space("agent_0").shape
     actions = dict.fromkeys(env.agents, jnp.int32(1))
     keys = jax.random.split(jax.random.key(9), 4)
-    plain = env.step_env(keys[0], state, actions)
-    for step in (env.step, env.step_env):
-        assert equal(jax.jit(step)(keys[0], state, actions), plain)
+    plain, same = (jax.jit(step)(keys[0], state, actions) for step in (env.step_env, env.step))
+    assert equal(plain, same)
     assert set(plain[3]) == {*env.agents, "__all__"} and set(plain[2]) == set(env.agents)
     assert env.action_space("agent_0").n == len(ACTIONS) and env.agent_classes == {"robot": env.agents}
 
@@ -314,8 +313,10 @@ def test_so_it_is_when_it_is_judged(rule: str) -> None:
     assert "random areas" in repr(judged)
 
 
-@pytest.mark.parametrize("asked", [{"levels": 2}, {"in_area": "rows"}, {"policy": "per_cell", "robot_value": 1.0}])
-@pytest.mark.parametrize("rule", ["mrac", "per_cell"])
+@pytest.mark.parametrize(
+    ("asked", "rule"),
+    [({"levels": 2}, "mrac"), ({"in_area": "rows"}, "per_cell"), ({"policy": "per_cell", "robot_value": 1.0}, "mrac")],
+)
 def test_what_a_world_asks_of_the_planner_counts(asked: dict[str, Any], rule: str) -> None:
     """As in `evaluate` with that policy, which leaves the world's own policy and its limits behind."""
     there = replace(world(), team=Team(settings=asked))

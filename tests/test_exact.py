@@ -280,6 +280,7 @@ def test_sentences_say_the_exact_value_where_it_is_known() -> None:
     assert row.removeprefix("  robots lost ").strip().startswith(f"{lost} of 3") and "exact" in row
 
 
+@pytest.mark.usefixtures("full_effort")
 def test_advice_says_of_the_plan_what_the_headline_says() -> None:
     """Not what 64 rollouts came to, where all is known."""
     answer = mrac.evaluate(WORLD, mrac.plan(WORLD, starts=STARTS), rollouts=64, **QUIET | {"advice": True})

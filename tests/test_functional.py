@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import LANES
+from helpers import run_python
 from open_loop_reference import fixture, plan_of
 from test_mrac_jax_open_loop import waiting_plan
 
@@ -181,6 +180,10 @@ def test_thresholds_are_those_of_every_engine() -> None:
     found = np.asarray(jax.jit(partial(F.thresholds, 2**40 + 7, robots=6))(ids=ids)).astype(np.int64)
     expected = tolerances(2**40 + 7, np.asarray(ids).ravel(), 6).reshape(4, 10, 6)
     np.testing.assert_array_equal((found[..., 0] << 32) + found[..., 1], expected)
+    edges = np.array([0, 1, 77, 2**32 - 1])
+    for seed in (0, 5, 2**64 - 1):
+        found = np.asarray(F.thresholds(seed, edges, 3)).astype(np.int64)
+        np.testing.assert_array_equal((found[..., 0] << 32) + found[..., 1], tolerances(seed, edges, 3))
     drawn = jax.vmap(lambda key: F.thresholds(key, 0, 3))(jax.random.split(jax.random.key(2), 2000))
     nats = np.asarray(drawn, dtype=np.float64) @ [1, 2.0**-32]
     assert abs(nats.mean() - 1) < 5 / np.sqrt(nats.size)
@@ -280,14 +283,8 @@ def test_obstacles_are_ignored() -> None:
 
 def test_importing_changes_no_setting() -> None:
     """And the package alone does not import JAX."""
-    program = (
-        "import sys, mrac_jax as mrac\n"
-        "assert 'jax' not in sys.modules\n"
-        "import jax\n"
-        "before = dict(jax.config.values)\n"
-        "assert mrac.functional.arrays and jax.config.values == before\n"
-    )
-    subprocess.run([sys.executable, "-c", program], check=True)
+    alone = "import sys, mrac_jax as mrac; assert 'jax' not in sys.modules; import jax; old = dict(jax.config.values)"
+    run_python(f"{alone}; assert mrac.functional.arrays and jax.config.values == old")
 
 
 # Bad input.
@@ -448,7 +445,7 @@ def test_the_gradient_of_a_resumed_mission_counts_only_later_visits(as_python: N
     check_against_differences(world, make_plan(world, state.starts, Settings(), state=state))
 
 
-def test_the_closed_loop_gradient_on_the_device() -> None:
+def test_the_closed_loop_gradient_on_the_device(as_python: None) -> None:
     """Under another map than that of the plan. A book of the same rollouts has all their decisions."""
     world, p = random_world(4, 5), truth_of(random_world(4, 5))
     plan = make_plan(world, place_starts(world, 2)[0])

@@ -426,7 +426,8 @@ except mrac.InputError as error:
     assert str(error).startswith("jax is not installed"), error
 else:
     raise AssertionError("no error")
-assert run(["evaluate", "example:paper", "--rollouts", "100", "--exact", "never", "--no-advice", "--json"]) == 0
+words = [sys.argv[1], "--rollouts", "100", "--exact", "never", "--no-advice", "--json"]
+assert all(run(["evaluate", *words, "--loop", loop]) == 0 for loop in ("open", "closed"))
 assert run(["threats", sys.argv[1], "--remove", "1", "--rollouts", "16", "--exact", "never", "--out", sys.argv[2]]) == 0
 assert "jax" not in sys.modules
 """

@@ -222,8 +222,7 @@ def test_a_closed_output_is_told_in_one_line() -> None:
 @pytest.mark.parametrize(
     ("where", "sent", "status"),
     [
-        ("foreground", signal.SIGINT, 130), ("foreground", signal.SIGTERM, 130),
-        ("background", signal.SIGINT, 0), ("background", signal.SIGTERM, 130),
+        ("foreground", signal.SIGINT, 130), ("background", signal.SIGINT, 0), ("background", signal.SIGTERM, 130),
     ],
 )  # fmt: skip
 def test_who_was_told_to_ignore_ctrl_c_does(where: str, sent: signal.Signals, status: int) -> None:

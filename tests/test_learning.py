@@ -578,7 +578,7 @@ def hidden(world, seed, count):
 
 @pytest.mark.parametrize("detector", [None, (2, 0.7, 0.2)])
 def test_posteriors_are_calibrated_and_their_mean_is_the_prior_in_every_cell(detector):
-    count = 2500
+    count = 1500
     world = taught(np.where(np.isnan(FIELD.threat), N, Q), 0.4, "persistent", detector)
     plan = make_plan(world, place_starts(world, 3)[0])
     loop = compile_closed_loop(plan, world)

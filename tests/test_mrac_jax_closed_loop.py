@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 from itertools import cycle, product
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -18,11 +14,18 @@ import pytest
 from closed_loop_worlds import SurveyWorld, first_worlds, idle_at_start, survey_world, survey_worlds
 from conftest import LANES
 from drawn_worlds import drawn_compiled_mission
-from helpers import VisitLoop, assert_same_results, assert_same_tally, assert_same_trace, run_closed_chunks
+from helpers import (
+    VisitLoop,
+    assert_same_results,
+    assert_same_tally,
+    assert_same_trace,
+    run_closed_chunks,
+    run_python,
+)  # fmt: skip
 from test_failure_sampling import NAMES as WORN
 from test_failure_sampling import worn_plan
 from test_mission import case, obey
-from test_mrac_jax_open_loop import FLAGS
+from test_mrac_jax_open_loop import FLAGS, flags_set
 from test_planner_open_loop import map_of, wanderings
 from test_return_home import KINDS, corridor, drawn
 from test_return_home import small as ranged
@@ -35,7 +38,6 @@ from mrac_jax.closed_loop.book import HALVE, SPLIT, HostBook, mixed
 from mrac_jax.closed_loop.engine import BATCH, MOST_LANES, JaxClosedLoop
 from mrac_jax.functional import book, closed_rollouts, thresholds
 from planner.errors import InputError, UsageError, WorldError
-from planner.failure_model import tolerances
 from planner.make_plan import make_plan
 from planner.mission.mission import Mission
 from planner.plan.plan import Plan
@@ -99,17 +101,17 @@ def test_equals_the_compiled_simulator_on_every_kind_of_world() -> None:
     worlds = first_worlds(18)
     shares = 0
     for number, one in enumerate(worlds):
-        results = compare(one, 100, (0, 99))
+        results = compare(one, 40, (0, 39))
         shares += int(results.bisected.sum() + results.divided.sum())
-        if number % 3 == 0:  # straight on in safe areas
-            order = ("boustrophedon", "columns")[number % 2]
-            compare(replace(one, settings=replace(one.settings, in_area=order)), 100)
+        if number % 6 == 0:  # straight on in safe areas
+            order = ("boustrophedon", "columns")[number // 6 % 2]
+            compare(replace(one, settings=replace(one.settings, in_area=order)), 40)
     assert len({one.kind for one in worlds}) >= 18
-    assert shares > 500
+    assert shares > 200
 
 
 @pytest.mark.parametrize(
-    "numbers", [range(200), pytest.param(range(200, 2200), marks=pytest.mark.slow)], ids=["200", "2000"]
+    "numbers", [range(60), pytest.param(range(60, 2200), marks=pytest.mark.slow)], ids=["60", "2140"]
 )
 def test_drawn_missions(numbers: range) -> None:
     """With any of the options that the book holds: ranges, wear, orders of cells, densities, deadlines, levels."""
@@ -117,7 +119,7 @@ def test_drawn_missions(numbers: range) -> None:
     lost = shared = 0
     for number in numbers:
         loop = compile_closed_loop(*drawn_compiled_mission(number))
-        results = same(loop, number, 20 if len(numbers) == 200 else 60, number, (0,) if number % 20 == 0 else ())
+        results = same(loop, number, 20 if numbers[0] == 0 else 60, number, (0,) if number % 20 == 0 else ())
         ended += np.bincount(results.outcome, minlength=len(ended))
         lost += int((results.alive < loop.robots).sum())
         shared += int((results.bisected + results.divided).sum())
@@ -263,7 +265,7 @@ def test_robots_that_return(seeds: int, rollouts: int, traced: int) -> None:
     ended = np.zeros(len(Outcome), dtype=np.int64)
     cases = product(RETURNS, range(seeds)) if rollouts > 60 else zip(RETURNS, cycle(range(seeds)), strict=False)
     for asked, seed in (*cases, ({"return_to": "home", "range": 9}, 11)):
-        loop = returning(asked, seed, 3 + seed % 3)
+        loop = returning(asked, seed, 3 + seed % 3 if rollouts > 60 else 3)  # a number of bases is a program
         results = same(loop, seed, rollouts, (asked, seed), range(traced if rollouts > 60 or seed == 0 else 0))
         home, alive = home + int(results.home.sum()), alive + int(results.alive.sum())
         ended += np.bincount(results.outcome, minlength=len(ended))
@@ -309,13 +311,13 @@ def test_robots_that_are_cut_off_from_their_base() -> None:
 
 def test_chunks_and_lanes_change_nothing(loop: ClosedLoop) -> None:
     engine = JaxClosedLoop(loop, 5, lanes=LANES)
-    whole, results = engine.run(100, 300)
-    parts = [engine.run(start, count) for start, count in ((100, 1), (101, 199), (300, 100))]
+    whole, results = engine.run(100, 120)
+    parts = [engine.run(start, count) for start, count in ((100, 1), (101, 79), (180, 40))]
     assert parts[0][0] + (parts[1][0] + parts[2][0]) == whole
     assert_same_results(RolloutResults.join(part for _, part in parts), results)
     assert parts[0][0] != parts[1][0]
     few = JaxClosedLoop(loop, 5, lanes=7)  # fewer than events of the run without losses, and several batches
-    assert few.run(100, 300)[0] == whole
+    assert few.run(100, 120)[0] == whole
 
 
 @pytest.mark.parametrize("engine", ["numba", "jax"])
@@ -331,24 +333,22 @@ def test_chunks_add_up_under_one_contract(loop: ClosedLoop, engine: str) -> None
 
 DEVICES = """
 import jax
-from test_mrac_jax_closed_loop import JaxClosedLoop, assert_same_results, survey_world
+from closed_loop_worlds import survey_world
+from helpers import assert_same_results, assert_same_tally
+from mrac_jax.closed_loop.engine import JaxClosedLoop
+from planner.rollouts.closed_loop import run_range
 loop = survey_world("crossings-2").loop()
-one, four = (JaxClosedLoop(loop, 5, lanes=16, devices=devices) for devices in (1, 4))
+four = JaxClosedLoop(loop, 5, lanes=16, devices=4)
 assert len(jax.devices()) == 4 and len(four._lanes.mode.sharding.device_set) == 4
-(tally, results), (expected, singles) = four.run(3, 301), one.run(3, 301)
-assert tally == expected and tally.visits.sum() > 0
-assert_same_results(results, singles)
-print(tally.visits.tolist())
+(tally, results), (expected, singles) = four.run(3, 301), run_range(loop, 5, 3, 301, singles=True)
+assert_same_tally(tally, expected, "tally")
+assert_same_results(results, singles, "results")
+assert tally.visits.sum() > 0
 """
 
 
-def test_four_devices_count_as_one_does() -> None:
-    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=4"
-    environment = {**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": str(Path(__file__).parent)}
-    done = subprocess.run([sys.executable, "-c", DEVICES], env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    expected = run_range(survey_world("crossings-2").loop(), 5, 3, 301)[0]
-    assert done.stdout.strip() == str(expected.visits.tolist())
+def test_four_devices_count_as_the_compiled_simulator_does() -> None:
+    run_python(DEVICES, XLA_FLAGS=f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=4")
 
 
 def test_room_that_is_too_small_grows(loop: ClosedLoop, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -369,9 +369,7 @@ def test_a_book_that_grows_while_lanes_wait(loop: ClosedLoop, monkeypatch: pytes
 
 def test_flags_of_jax_change_no_count(loop: ClosedLoop) -> None:
     """All flags that would stop the program, or change what it means, at once."""
-    with ExitStack() as flags:
-        for name, value in FLAGS.items():
-            flags.enter_context(getattr(jax, name)(value))
+    with flags_set(*FLAGS):
         assert_same_runs(JaxClosedLoop(loop, 5, lanes=LANES), loop, 100)
 
 
@@ -381,7 +379,7 @@ def test_compiled_once_for_a_shape(loop: ClosedLoop) -> None:
     program = engine_module._program(one._mesh)
     before = program._cache_size()
     for seed in (6, 7):
-        JaxClosedLoop(loop, seed, lanes=LANES).tally(seed, 20 * seed)
+        JaxClosedLoop(loop, seed, lanes=LANES).tally(seed, 5 * seed)
     assert program._cache_size() == before
 
 
@@ -436,7 +434,7 @@ def test_a_made_up_limit_is_a_timeout(loop: ClosedLoop) -> None:
     assert (results.outcome == Outcome.STEP_LIMIT).sum() > 150
 
 
-@pytest.mark.parametrize("name", ["crossings-0", "deadly-7", "rooms-4"])
+@pytest.mark.parametrize("name", ["crossings-0", pytest.param("deadly-7", marks=pytest.mark.slow), "rooms-4"])
 def test_deadlines_and_other_threats(name: str) -> None:
     one = survey_world(name)
     loop, safer = one.loop(), World.create(one.world.threat * np.float32(0.1))
@@ -466,13 +464,6 @@ def test_what_is_derived_has_as_many_lanes(loop: ClosedLoop) -> None:
 # Pure functions.
 
 
-def test_thresholds_are_those_of_every_engine() -> None:
-    ids = np.array([0, 1, 77, 2**32 - 1])
-    for seed in (0, 5, 2**64 - 1):
-        found = np.asarray(thresholds(seed, ids, 3)).astype(np.int64)
-        assert ((found[..., 0] << 32) + found[..., 1]).tolist() == tolerances(seed, ids, 3).tolist()
-
-
 def test_rollouts_as_a_pure_function() -> None:
     one = survey_world("crossings-2")
     loop, size = one.loop(), 120
@@ -490,8 +481,7 @@ def test_rollouts_as_a_pure_function() -> None:
             cells = np.bitwise_count(np.asarray(getattr(found, name))).sum(axis=-1)
             assert cells.ravel().tolist() == getattr(singles, name).tolist(), name
 
-    check(run(decisions, drawn))
-    check(jax.vmap(run, (None, 0))(decisions, drawn.reshape(3, 40, *drawn.shape[1:])))
+    check(jax.jit(jax.vmap(closed_rollouts, (None, 0)))(decisions, drawn.reshape(3, 40, *drawn.shape[1:])))
     with jax.enable_x64(True):
         check(run(decisions, drawn))
     few = book(one.world, one.plan(), seed=one.seed, rollouts=0, lanes=LANES)

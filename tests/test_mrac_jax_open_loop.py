@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import assert_same_results, rollout_results, rollouts, run_chunks
+from helpers import assert_same_results, rollout_results, rollouts, run_chunks, run_python
 from open_loop_reference import fixture, plan_of, tolerance_stops, walk
 from test_failure_sampling import KNOWN
 
@@ -216,33 +217,21 @@ def test_one_compilation_serves_plans_of_one_bucket() -> None:
     assert run._cache_size() == before
 
 
-PROGRAMS = {
-    "two devices equal one": """
+TWO_DEVICES = """
 import jax
 jax.config.update("jax_num_cpu_devices", 2)
-from test_mrac_jax_open_loop import compiled_fixture
-from helpers import rollouts
-compiled = compiled_fixture("tiny-6x3-20", 5)
-assert len(jax.devices()) == 2
-whole = rollouts(compiled, seed=5, start=77, count=40_000, engine="numba")
-assert rollouts(compiled, seed=5, start=77, count=40_000, engine="jax") == whole
-""",
-    "numba alone does not import jax": """
-import sys
 from open_loop_reference import fixture
 from helpers import rollouts
 from planner.rollouts.open_loop import compile_plan
-rollouts(compile_plan(*fixture("tiny-4x8-12", 2)[:2]), seed=0, count=10, engine="numba")
-assert "jax" not in sys.modules
-""",
-}
+compiled = compile_plan(*fixture("tiny-6x3-20", 5)[:2])
+assert len(jax.devices()) == 2
+whole = rollouts(compiled, seed=5, start=77, count=40_000, engine="numba")
+assert rollouts(compiled, seed=5, start=77, count=40_000, engine="jax") == whole
+"""
 
 
-@pytest.mark.parametrize("name", PROGRAMS)
-def test_in_a_process_of_its_own(name: str) -> None:
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent), "JAX_PLATFORMS": "cpu"}
-    done = subprocess.run([sys.executable, "-c", PROGRAMS[name]], env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+def test_two_devices_equal_one() -> None:
+    run_python(TWO_DEVICES, JAX_PLATFORMS="cpu")
 
 
 FLAGS: dict[str, Any] = dict.fromkeys(
@@ -254,16 +243,26 @@ FLAGS: dict[str, Any] = dict.fromkeys(
 """Flags of JAX's that a user may have set, and values that would stop the programs, or change what they draw."""
 
 
-@pytest.mark.parametrize("name", FLAGS)
-def test_flags_of_jax_change_no_count(name: str) -> None:
+@contextmanager
+def flags_set(*names: str) -> Iterator[None]:
+    """These flags have their values of FLAGS, all at once."""
+    with ExitStack() as flags:
+        for name in names:
+            flags.enter_context(getattr(jax, name)(FLAGS[name]))
+        yield
+
+
+@pytest.mark.parametrize("jit", [True, False], ids=["compiled", "disable_jit"])
+def test_flags_of_jax_change_no_count(jit: bool) -> None:
+    """All at once: without `jit` some are not looked at."""
     plan, world = waiting_plan()
     compiled = compile_plan(plan, world)
-    with getattr(jax, name)(FLAGS[name]):
+    walk_of = jax.jit(lambda seen: seen[:, 3].argmax().astype("int32").repeat(2) % 5) if jit else None  # east, ...
+    with flags_set(*(name for name in FLAGS if not jit or name != "disable_jit")):
         found = rollouts(compiled, seed=3, count=400, engine="jax")
-        walk_of = jax.jit(lambda seen: seen[:, 3].argmax().astype("int32").repeat(2) % 5)  # east, west, ...
-        judged = roll_policy(CoverageEnv(world, 2), walk_of if name != "disable_jit" else None, 1, 40)
+        judged = roll_policy(CoverageEnv(world, 2), walk_of, 1, 40)
     assert found == rollouts(compiled, seed=3, count=400, engine="numba")
-    same = roll_policy(CoverageEnv(world, 2), walk_of if name != "disable_jit" else None, 1, 40)
+    same = roll_policy(CoverageEnv(world, 2), walk_of, 1, 40)
     assert all((one == other).all() for one, other in zip(judged, same, strict=True))
 
 

@@ -81,11 +81,7 @@ INTERPRETED = {
     "jax snapshot after the loss": Fault(ENGINE, "searchsorted(keys, ", "searchsorted(keys[:-1], 1 + "),
     "jax component lost": Fault(BOOK, "if bisected else parts:", "if bisected else parts[:2]:"),
 }
-QUICK = (
-    "classical set parted, and the order of the hit ones lost",
-    "classical bits of another branch",
-    "jax snapshot after the loss",
-)
+QUICK = "classical bits of another branch", "jax snapshot after the loss"
 STALE_FLAG = Fault(
     ROLL,
     "    copy_row(of.robots, to.robots, len(of.robots))\n",

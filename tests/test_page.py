@@ -537,11 +537,10 @@ DRAWN = "getComputedStyle(document.querySelector('.plan-map .paths')).display"
 
 
 @needs_browser
-@pytest.mark.parametrize("width", [390, 768, 1280])
-def test_nothing_is_cut_in_a_browser(answer: Evaluation, tmp_path: Path, width: int) -> None:
+def test_nothing_is_cut_in_a_browser(answer: Evaluation, browser: Browser, tmp_path: Path) -> None:
     """Tables that are wider than a phone say so, tiles leave no hole, paths are drawn when somebody asks for them."""
     (tmp_path / "page.html").write_text(page_of_reports(answer), encoding="utf-8")
-    with Browser(tmp_path / "profile") as browser:
+    for width in (390, 768, 1280):
         browser.open(tmp_path / "page.html", width=width)
         browser.until(f"{TABLES}.every(([wide, cut]) => wide === cut)")
         tables = browser.run(TABLES)
@@ -627,7 +626,9 @@ def test_runs_that_have_no_room_are_left_out(answer_runs: Evaluation, monkeypatc
 
 
 @needs_browser
-def test_the_script_unfolds_a_run_as_the_recording_does(answer_runs: Evaluation, packed: dict, tmp_path: Path) -> None:
+def test_the_script_unfolds_a_run_as_the_recording_does(
+    answer_runs: Evaluation, packed: dict, browser: Browser
+) -> None:
     """Who covers which cell when, and every robot's way, beside `make_frames`, which shares nothing with the script."""
     script = (
         asset("replay.js")
@@ -640,12 +641,11 @@ def test_the_script_unfolds_a_run_as_the_recording_does(answer_runs: Evaluation,
           trails: replay.robots.map((robot) => trail(robot, half, shape[1])) };
       };"""
     )
-    with Browser(tmp_path) as browser:
-        found = []
-        for run in packed["runs"][1:]:
-            moves = [list(moves_of(text)) for text in run["moves"]]
-            given = ", ".join(map(json.dumps, (moves, run, packed["shape"])))
-            found.append(browser.run(f"(() => {{ {script} return tell({given}); }})()"))
+    found = []
+    for run in packed["runs"][1:]:
+        moves = [list(moves_of(text)) for text in run["moves"]]
+        given = ", ".join(map(json.dumps, (moves, run, packed["shape"])))
+        found.append(browser.run(f"(() => {{ {script} return tell({given}); }})()"))
     engine = make_engine_for(answer_runs.world, answer_runs.plan, answer_runs.choices)
     for told, trace in zip(
         found,

@@ -711,6 +711,7 @@ def test_code_that_the_first_setting_compiles_costs_a_quick_front_no_time(monkey
     assert len(points) > 3 and {point.setting.family for point in points} == {"mrac", "per_cell", "robot_value"}
 
 
+@pytest.mark.usefixtures("full_effort")
 def test_evaluate_says_what_costs_no_robot_and_what_the_rest_costs(
     capsys: pytest.CaptureFixture[str], world_file: str
 ) -> None:

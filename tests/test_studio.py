@@ -449,7 +449,7 @@ def test_without_the_extra_the_fix_is_named(monkeypatch: pytest.MonkeyPatch, cap
 
 
 @needs_browser
-def test_the_worst_threat_has_the_last_colour_of_the_scale(tmp_path: Path) -> None:
+def test_the_worst_threat_has_the_last_colour_of_the_scale(browser: Browser) -> None:
     script = (
         asset("picture.js", "analysis.studio")
         + """
@@ -467,13 +467,12 @@ def test_the_worst_threat_has_the_last_colour_of_the_scale(tmp_path: Path) -> No
         return drawn;
       }"""
     )
-    with Browser(tmp_path) as browser:
-        drawn = browser.run(f"(() => {{ {script} return [0.05, 0.1, 0.25, 0.5].map(play); }})()")
+    drawn = browser.run(f"(() => {{ {script} return [0.05, 0.1, 0.25, 0.5].map(play); }})()")
     assert drawn == 4 * [[255, 255, 255, 255, 255, 0, 0, 255, 0, 0, 0, 255]]
 
 
 @needs_browser
-def test_the_board_paints_and_takes_back(tmp_path: Path) -> None:
+def test_the_board_paints_and_takes_back(browser: Browser) -> None:
     script = (
         asset("board.js", "analysis.studio")
         + """
@@ -497,8 +496,7 @@ def test_the_board_paints_and_takes_back(tmp_path: Path) -> None:
       }"""
     )
     painted, threats = [[0, 0], [0, 1], [2, 3]], "0.5 0 0 0 0 # 0 0 0 0 0.5 0"
-    with Browser(tmp_path) as browser:
-        found = browser.run(f"(() => {{ {script} return play(); }})()")
+    found = browser.run(f"(() => {{ {script} return play(); }})()")
     assert found["seen"] == [
         [threats, None, 2],
         [threats, painted, 3],
@@ -513,13 +511,13 @@ def test_the_board_paints_and_takes_back(tmp_path: Path) -> None:
 
 
 @needs_browser
-def test_a_finger_paints_or_moves_an_enlarged_map(tmp_path: Path) -> None:
+def test_a_finger_paints_or_moves_an_enlarged_map(browser: Browser, tmp_path: Path) -> None:
     """On a phone: with Move chosen it scrolls the map and paints nothing, with a brush the other way round."""
     world = World.create(np.zeros((41, 50)))
     studio = Studio(Sketch(world, 1, Settings()), "x", tmp_path / "x.yaml", 0)
     stage = "document.getElementById('headline').dataset.stage"
     view = "(() => { const v = document.querySelector('.view'); return [v.scrollLeft, v.scrollTop] })()"
-    with serving(studio) as served, Browser(tmp_path / "profile") as browser:
+    with serving(studio) as served:
         browser.open(served.address, width=390)
         browser.until(f"{stage} === 'done'")
         for _ in range(2):
@@ -544,7 +542,7 @@ def test_a_finger_paints_or_moves_an_enlarged_map(tmp_path: Path) -> None:
 
 
 @needs_browser
-def test_a_browser_paints_and_saves(served: Served, tmp_path: Path) -> None:
+def test_a_browser_paints_and_saves(served: Served, browser: Browser) -> None:
     """A stroke by the pointer, one by the keyboard, undone, saved: the headline follows; nothing in names is run."""
     headline, stage = ("document.getElementById('headline')." + name for name in ("textContent", "dataset.stage"))
 
@@ -552,50 +550,49 @@ def test_a_browser_paints_and_saves(served: Served, tmp_path: Path) -> None:
         browser.until(f"{stage} === 'done'")
         return browser.run(headline).replace("\xa0", " ")
 
-    with Browser(tmp_path / "profile") as browser:
-        browser.open(served.address)
-        first = answered()
-        assert "3 robots cover " in first and served.studio.token not in browser.run("location.href")
-        assert HOSTILE in browser.run("document.getElementById('name').textContent")
-        assert browser.run("document.querySelectorAll('img').length") == 0
-        browser.run("document.querySelector('#sizes label:last-of-type input').click()")
-        browser.drag("#board", (0.2, 0.5), (0.8, 0.5))
-        second = answered()
-        assert second != first
-        browser.run("document.getElementById('board').focus()")
-        browser.key("2")  # obstacles
-        browser.key("ArrowRight")
-        browser.key(" ")
-        third = answered()
-        assert third != second
-        for _ in range(2):
-            browser.run("document.getElementById('undo').click()")
-            answered()
-        assert browser.run(headline).replace("\xa0", " ") == first and browser.run(
-            "document.getElementById('undo').disabled"
-        )
-        browser.run("document.getElementById('redo').click()")
-        assert answered() == second
-        change = "dispatchEvent(new Event('change', {bubbles: true}))"
-        for step, problem in (("-1", "Deadline: "), ("''", "")):
-            browser.run(f"(() => {{ const e = document.getElementById('deadline'); e.value = {step}; e.{change} }})()")
-            assert browser.run("document.getElementById('problem').textContent")[: len("Deadline: ")] == problem
-        assert answered() == second
-        browser.run("document.getElementById('save').click()")
-        browser.until("!document.querySelector('.command').hidden")
-        assert str(served.studio.out) in browser.run("document.getElementById('command').textContent")
-        assert browser.run("document.documentElement.scrollWidth <= innerWidth")
-        assert browser.run("document.querySelectorAll('.paths path').length") == 3
-        browser.open("about:blank")
-        browser.open(served.address)  # nothing is lost
-        assert answered() == second
-        reached = browser.stops()
-        assert all(any(f'id="{name}"' in stop for stop in reached) for name in ("board", "again", "policy", "save"))
-        browser.run("document.getElementById('again').click()")
-        assert answered() == first
+    browser.open(served.address)
+    first = answered()
+    assert "3 robots cover " in first and served.studio.token not in browser.run("location.href")
+    assert HOSTILE in browser.run("document.getElementById('name').textContent")
+    assert browser.run("document.querySelectorAll('img').length") == 0
+    browser.run("document.querySelector('#sizes label:last-of-type input').click()")
+    browser.drag("#board", (0.2, 0.5), (0.8, 0.5))
+    second = answered()
+    assert second != first
+    browser.run("document.getElementById('board').focus()")
+    browser.key("2")  # obstacles
+    browser.key("ArrowRight")
+    browser.key(" ")
+    third = answered()
+    assert third != second
+    for _ in range(2):
         browser.run("document.getElementById('undo').click()")
-        assert answered() == second
-        assert browser.noticed == [] and {urlsplit(asked).netloc for asked in browser.asked} == {
-            urlsplit(served.address).netloc
-        }
+        answered()
+    assert browser.run(headline).replace("\xa0", " ") == first and browser.run(
+        "document.getElementById('undo').disabled"
+    )
+    browser.run("document.getElementById('redo').click()")
+    assert answered() == second
+    change = "dispatchEvent(new Event('change', {bubbles: true}))"
+    for step, problem in (("-1", "Deadline: "), ("''", "")):
+        browser.run(f"(() => {{ const e = document.getElementById('deadline'); e.value = {step}; e.{change} }})()")
+        assert browser.run("document.getElementById('problem').textContent")[: len("Deadline: ")] == problem
+    assert answered() == second
+    browser.run("document.getElementById('save').click()")
+    browser.until("!document.querySelector('.command').hidden")
+    assert str(served.studio.out) in browser.run("document.getElementById('command').textContent")
+    assert browser.run("document.documentElement.scrollWidth <= innerWidth")
+    assert browser.run("document.querySelectorAll('.paths path').length") == 3
+    browser.open("about:blank")
+    browser.open(served.address)  # nothing is lost
+    assert answered() == second
+    reached = browser.stops()
+    assert all(any(f'id="{name}"' in stop for stop in reached) for name in ("board", "again", "policy", "save"))
+    browser.run("document.getElementById('again').click()")
+    assert answered() == first
+    browser.run("document.getElementById('undo').click()")
+    assert answered() == second
+    assert browser.noticed == [] and {urlsplit(asked).netloc for asked in browser.asked} == {
+        urlsplit(served.address).netloc
+    }
     assert (load_input(served.studio.out).threat == np.float32(0.1)).sum() > 20

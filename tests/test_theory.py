@@ -618,6 +618,7 @@ def test_a_walk_is_held_to_one_order_of_two_rooms() -> None:
     assert flow is not None and 6.0 <= flow < 6.2 < flow_bound(contract(world, np.array([[0, 7]])), rounds=ROUNDS - 1)
 
 
+@pytest.mark.usefixtures("full_effort")
 def test_ways_are_what_makes_it_sharp() -> None:
     """2 points or more on the map of the other test, and whoever asks for none has the rest."""
     world = random_world(pattern=ThreatPattern(kind="scattered", seed=0))

@@ -5,22 +5,29 @@ from __future__ import annotations
 import sys
 from typing import Any
 
-from planner.make_plan import make_plan
-from planner.rollouts.closed_loop import compile_closed_loop, run_range
+from planner.make_plan import allocated_plan
+from planner.rollouts.closed_loop import compile_closed_loop, nominal_loop, run_range
+from planner.rollouts.loop import ClosedLoop
+from planner.rollouts.single_run import play_compiled
 from planner.settings import Settings
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.start_rule import place_starts
 
 
-def run_missions(rule: str, *settings: Any) -> None:
-    """A mission of the rule with each of these settings."""
+def loop_of(rule: str, **settings: Any) -> ClosedLoop:
+    """A mission of the rule."""
     world = random_world(pattern=ThreatPattern(seed=3))
-    starts = place_starts(world, 4)[0]
-    for more in settings:
-        loop = compile_closed_loop(make_plan(world, starts, Settings(policy=rule, **more)), world)
-        run_range(loop, 0, 0, 64, threads=1, singles=True)
+    plan = allocated_plan(world, place_starts(world, 4)[0], Settings(policy=rule, **settings))
+    return compile_closed_loop(plan, world)
+
+
+def run_nominal(rule: str) -> None:
+    """The nominal run of a plain mission, by the program that keeps its legs."""
+    play_compiled(nominal_loop(loop_of(rule)))
 
 
 if __name__ == "__main__":
+    run_nominal(sys.argv[1])
     # A plain mission, one that searches for distances, and one with all features.
-    run_missions(sys.argv[1], {}, {"transit": "area"}, {"weibull_shape": 2.0})
+    for settings in ({}, {"transit": "area"}, {"weibull_shape": 2.0}):
+        run_range(loop_of(sys.argv[1], **settings), 0, 0, 64, threads=1, singles=True)

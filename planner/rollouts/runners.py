@@ -423,9 +423,12 @@ class Runner:
         return self.tables, self.policy, self.counts, waiting, *tasks, stack, self.work, *others
 
     def is_compiled(self, cached: bool) -> bool:
-        """True if the program of these rollouts is compiled in this process or, with `cached`, in the cache."""
-        ids, state = np.zeros(1, dtype=np.uint32), self._state
-        given = self._arguments(
-            state, groups_at(ONE, len(ids)), state, NO_LOG, self.how, ids, singles_of(self._loop, 0, 0)
-        )
+        """True if the program of a run that keeps its legs is compiled in this process.
+
+        With `cached`: if that of rollouts, which keep none, is compiled or in the cache.
+        """
+        # Legs are a program of their own: a nominal run on a small map should not wait for its compilation.
+        ids, state, log = np.zeros(1, dtype=np.uint32), self._state, make_log(0, 0, 0, legs=not cached)
+        single = groups_at(ONE, len(ids))
+        given = self._arguments(state, single, state, log, self.how, ids, singles_of(self._loop, 0, 0))
         return has_program(run_group_tasks, given, cached)
