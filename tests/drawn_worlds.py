@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -240,6 +241,16 @@ def load(folder: Path, threats: list, height: int = 6, width: int = 9, **more: o
 def raster(folder: Path, values: np.ndarray, name: str = "r.npy") -> str:
     np.save(folder / name, values)
     return name
+
+
+def fields(file: Path, *named: tuple[str, float, float, float, float, float]) -> None:
+    """A GeoJSON file of rectangles: each its name, p, west, south, east, north."""
+    features = []
+    for name, p, west, south, east, north in named:
+        ring = [[west, south], [east, south], [east, north], [west, north], [west, south]]
+        shape = {"type": "Polygon", "coordinates": [ring]}
+        features.append({"type": "Feature", "properties": {"name": name, "p": p}, "geometry": shape})
+    file.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
 
 
 # --- Small missions with any of the options that a closed loop has, drawn by a number: what engines are compared on.
