@@ -31,6 +31,11 @@ from planner.world.world import World
 RULE = {"kind": "linear", "scale": 0.001}
 
 
+def ruled(kind: str, **keys: Any) -> dict[str, Any]:
+    """A raster of 6 x 9 pixels with such a rule."""
+    return {"raster": "r.npy", "rule": {"kind": kind} | keys}
+
+
 def laid(folder: Path, ground: np.ndarray, values: list, resolution: float, at: list[float], **keys: Any) -> np.ndarray:
     """Threat on a map of 1 m cells under a ROS scale map with these values 0..100."""
     Image.fromarray(np.rint(255 - np.array(values) * 2.55).astype(np.uint8)).save(folder / "layer.png")
@@ -173,16 +178,10 @@ def test_generated_threats_count_the_free_cells(tmp_path: Path) -> None:
         ({"raster": "r.npy", "rule": {"kind": "exposure", "rate": -1}}, "is -1"),
         ({"raster": "r.npy", "rule": {"kind": "exposure", "rate": True}}, "is True"),
         ({"raster": "r.npy", "rule": {"kind": "classes", "edges": [2, 1], "p": [0, 0, 0]}}, "increasing numbers"),
-        (
-            {"raster": "r.npy", "rule": {"kind": "classes", "edges": [1, 2], "p": [0, 0.1]}},
-            "3 probabilities 0 <= p < 1",
-        ),
-        ({"raster": "r.npy", "rule": {"kind": "classes", "edges": [1], "p": [0, 1]}}, "`threats[0].rule.p[1]` is 1"),
-        (
-            {"raster": "r.npy", "rule": {"kind": "classes", "edges": [1], "p": [0, -0.1]}},
-            "rule.p[1]` is -0.1",
-        ),
-        ({"raster": "r.npy", "rule": {"kind": "classes", "edges": "1", "p": [0, 0.1]}}, "`threats[0].rule.edges`"),
+        (ruled("classes", edges=[1, 2], p=[0, 0.1]), "3 probabilities 0 <= p < 1"),
+        (ruled("classes", edges=[1], p=[0, 1]), "`threats[0].rule.p[1]` is 1"),
+        (ruled("classes", edges=[1], p=[0, -0.1]), "rule.p[1]` is -0.1"),
+        (ruled("classes", edges="1", p=[0, 0.1]), "`threats[0].rule.edges`"),
         ({"generate": {"kind": "contiguos", "ratio": 0.2}}, "did you mean 'contiguous'"),
         ({"generate": {"kind": "scattered"}}, "generate.ratio` is missing"),
         ({"generate": {"kind": "scattered", "ratio": 1.5}}, "generate.ratio` is 1.5"),
