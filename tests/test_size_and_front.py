@@ -26,7 +26,7 @@ from analysis.evaluation import evaluate as answer
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.advice import Advice
 from analysis.evaluation.outputs.what_if import ThreatScale
-from analysis.report.result import print_report
+from analysis.report.result import print_report, report_of
 from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.search import pareto as search
 from analysis.search import reports
@@ -35,7 +35,7 @@ from analysis.search.pareto import Figures, Front, Ladders, Point, Setting, betw
 from analysis.search.pareto import Goal as FrontGoal
 from analysis.search.pareto import make_goal as make_front_goal
 from analysis.search.reports import _front_chart, front_summary, selection_lines, size_report, size_summary
-from analysis.search.team_size import Goal, TeamVerdict, make_goal, smallest_enough, upper_bounds_of, verdict_of_team
+from analysis.search.team_size import Goal, TeamVerdict, make_goal, smallest_enough, upper_bounds_of
 from analysis.statistics.estimates import chance_interval, error_share, exactly, mean_interval
 from analysis.statistics.variance_reduction import tally_mean
 from analysis.theory.bounds import ideal_team
@@ -96,19 +96,11 @@ def fake(enough: Callable[[int], bool], asked: list[int]) -> Callable[[int], Tea
 # The rules, as pure functions.
 
 
-@pytest.mark.parametrize(
-    ("interval", "verdict"),
-    [
-        ((0.91, 0.95), TeamVerdict.ENOUGH),
-        ((0.9, 0.9), TeamVerdict.ENOUGH),
-        ((0.89, 0.9), TeamVerdict.UNDECIDED),
-        ((0.85, 0.95), TeamVerdict.UNDECIDED),
-        ((0.85, 0.89), TeamVerdict.NOT_ENOUGH),
-        ((1.0, 1.0), TeamVerdict.ENOUGH),
-    ],
-)
-def test_a_team_is_judged_by_its_whole_interval(interval: tuple[float, float], verdict: TeamVerdict) -> None:
-    assert verdict_of_team(interval, 0.9) is verdict
+def test_a_team_is_judged_by_its_whole_interval() -> None:
+    enough, undecided, not_enough = TeamVerdict.ENOUGH, TeamVerdict.UNDECIDED, TeamVerdict.NOT_ENOUGH
+    for *interval, verdict in ((0.91, 0.95, enough), (0.9, 0.9, enough), (0.89, 0.9, undecided), (1.0, 1.0, enough),
+                               (0.85, 0.95, undecided), (0.85, 0.89, not_enough)):  # fmt: skip
+        assert teams.verdict_of_team(tuple(interval), 0.9) is verdict
 
 
 def test_search_finds_the_smallest_on_a_growing_curve() -> None:
@@ -191,9 +183,8 @@ def test_ideals_follow_the_parts_of_the_map_and_the_deadline() -> None:
 
 def test_no_team_exceeds_its_ideals() -> None:
     for complete in (False, True):
-        size = sized(
-            load_world_file(WORLD), make_goal(None if complete else 0.9, 0.9, complete, most=20), rollouts=1024
-        )
+        goal = make_goal(None if complete else 0.9, 0.9, complete, most=20)
+        size = sized(load_world_file(WORLD), goal, rollouts=1024)
         rolled = [point for point in size.points if point.rollouts]
         assert len(rolled) > 3 and all(point.coverage.ci95[0] <= point.ideal_coverage for point in rolled)
         assert all(point.chance.ci95[0] <= point.ideal_chance for point in rolled)
@@ -340,9 +331,8 @@ def test_the_headline_is_of_rollouts_that_had_no_part_in_the_choice() -> None:
     plan = plan_team(found.world, found.starts[: found.robots], Settings())
     engine = make_engine_for(found.world, plan, RolloutChoices(rollouts=8192, seed=3, engine="numba", exact="never"))
     tally, _ = run_with_threshold_sums(engine, 3, max(point.rollouts for point in found.points), own.rollouts)
-    assert (
-        fresh.coverage == tally_mean(tally, "visited", 1.0 / found.cells) and fresh.coverage.mean != own.coverage.mean
-    )
+    assert fresh.coverage == tally_mean(tally, "visited", 1.0 / found.cells)
+    assert fresh.coverage.mean != own.coverage.mean
     assert f"{100 * fresh.coverage.mean:.4g} %" in size_summary(found) and "fresh rollouts" in size_summary(found)
     assert found.to_json()["confirmed"]["coverage"] == fresh.coverage.to_json()
 
@@ -469,9 +459,8 @@ def test_a_goal_picks_the_most_coverage_or_the_fewest_lost() -> None:
 def test_the_ladder_of_worth() -> None:
     assert (first_robot_value(0.2), first_robot_value(0.03), first_robot_value(0.9)) == (5, 33, 1.1)
     assert between(10, 40) == 20 and between(200, 100) == 141
-    assert Setting("per_cell", robot_value=0.1, deadline=7).options() == shlex.split(
-        "--policy per_cell --robot-value 0.1 --deadline 7"
-    )
+    words = Setting("per_cell", robot_value=0.1, deadline=7).options()
+    assert " ".join(words) == "--policy per_cell --robot-value 0.1 --deadline 7"
     assert str(Setting("per_cell", 0.25, 12)) == "per_cell, risk cap 0.25, robot value 12"
 
 
@@ -638,7 +627,8 @@ def test_the_front_s_chart_has_a_curve_through_the_settings_of_each_kind(small: 
         of = [point for point in small.points if reports.TITLES[point.setting.family] == curve.name]
         cheap = min(one.coverage.mean for one, is_cheap in zip(small.points, small.cheap, strict=True) if is_cheap)
         assert list(curve.x) == [point.time.mean for point in of if point.coverage.mean >= cheap]
-    told = small.to_json()
+    told, saved = small.to_json(), report_of(small).files
+    assert set(saved) == {"plan.json"}
     assert told["points"][told["pick"]]["losses"]["mean"] <= told["confirmed"]["bound"] <= 0.8
     with pytest.raises(InputError, match="robot_values=-5"):
         mrac.front(WORLD_FRONT, robot_values=[-5])
@@ -772,13 +762,13 @@ def test_a_setting_that_covers_more_for_no_more_robots_is_advised() -> None:
     point = priced(40, 0.9, 0.1)
     found = advice(0.8, 0.2, point, exactly(0.1))
     assert not found.saves(point) and found.better() is point
-    assert list(found.elements().alternatives) == [
-        "To cover 90.0 % (10.00 points more) without losing more robots: `policy='per_cell', robot_value=40`."
-    ]
+    costly, at = advice(0.95, 5.0, point, exactly(-0.05)), "`policy='per_cell', robot_value=40`."
+    for one, said in (
+        (found, "(10.00 points more) without losing more robots"),
+        (costly, "and lose 0.10 robots on average"),
+    ):
+        assert list(one.elements().alternatives) == [f"To cover 90.0 % {said}: {at}"]
     assert advice(0.95, 0.2).better() is None
-    assert list(advice(0.95, 5.0, point, exactly(-0.05)).elements().alternatives) == [
-        "To cover 90.0 % and lose 0.10 robots on average: `policy='per_cell', robot_value=40`."
-    ]
 
 
 def test_what_hardly_covers_anything_is_not_advised_because_it_is_free() -> None:
