@@ -24,7 +24,6 @@ from planner.json_objects import as_json
 from planner.mission.map_updates import hand_on
 from planner.mission.mission import Mission
 from planner.mission.team_control import Order
-from planner.rollouts.single_run import at_base
 from planner.rollouts.tables import AllPairs
 from planner.simulator.codes import Outcome
 from planner.tally import RolloutResults
@@ -317,7 +316,7 @@ class DrivenMission(Mission):
         fleet = self._fleet
         visited, survived = (int(np.count_nonzero(cells)) for cells in (fleet.visited, fleet.survived))
         same = {"visited": visited, "survived": survived, "time": self._past, "alive": self._alive}
-        same["home"] = int(at_base(fleet.t, fleet.raw).sum()) if fleet.loop.comes_home else 0
+        same["home"] = int(fleet.home.sum())
         # One row for each rollout, so that the comparison stays paired.
         ended = {name: np.full_like(getattr(found, name), value) for name, value in same.items()}
         return replace(found, outcome=np.full_like(found.outcome, Outcome.ENDED_BY_OPERATOR), **ended)

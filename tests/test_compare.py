@@ -249,7 +249,7 @@ def test_who_comes_home_is_compared_too(capsys: pytest.CaptureFixture[str]) -> N
         assert estimate.se == pytest.approx(values.std(ddof=1) / 32, rel=1e-9)
     asked = (WORLD, "--robots", "3", "--rollouts", "256")
     both = answer(capsys, *asked, "--return-to", "home", "--b.policy", "per_cell")
-    assert both["difference"].keys() == both["a"]["mean"].keys() == {*FIGURES, "home", "all_home"}
+    assert both["difference"].keys() == both["a"]["mean"].keys() == {*FIGURES, "home", "all_home", "delivered"}
     assert run(["compare", *asked, "--b.return-to", "home"]) == 0
     assert "note: B's robots return to base, " in " ".join(capsys.readouterr().out.split())
     alone = answer(capsys, *asked, "--b.return-to", "home")

@@ -44,7 +44,7 @@ from planner.world.start_rule import place_starts
 
 ROOMS = ("planner", "analysis", "mrac_jax")
 DOOR = re.compile(r"mrac_jax|mrac_jax\.__main__|mrac_jax\.env\.suite|analysis\.(api|cli)(\.\w+)?")
-ANSWERS = ("evaluation", "comparison", "checking", "experiments", "sweeps", "recording", "search", "policy_evaluation")
+ANSWERS = ("evaluation", "comparison", "checking", "reproduction", "sweeps", "recording", "search", "policy_evaluation")
 KITS = ("statistics", "theory", "page", "pictures", "utils", "report", "exporting")
 
 
@@ -234,7 +234,7 @@ def test_errors_name_arguments_not_options() -> None:
 
 REGISTERED = re.compile(r"app\.command|overload|infer_getattr|lower_getattr_generic|unbox|.*register\w*")
 """Decorators that hand on what they decorate: nobody calls it by its name."""
-NAMED = {"world_with_starts", "cleared_world", "roll_out_readably", "unserialize_library", "closed_rollouts", "step_env"}
+NAMED = {"world_with_starts", "cleared_world", "unserialize_library", "closed_rollouts", "step_env"}
 """Used all the same: by who writes Python, by a process that is begun with a line of it, and by Numba."""
 OURS = {"Protocol", "NamedTuple", "Enum", "IntEnum", "Exception", "object"}
 """Bases from elsewhere that call no method of their own accord."""

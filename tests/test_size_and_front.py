@@ -403,7 +403,7 @@ def rolled_out(setting: Setting, ids: range) -> NDArray[np.float64]:
     loop = PythonLoop(make_plan(WORLD_FRONT, WORLD_FRONT.starts, search.settings_of(Settings(), setting)), WORLD_FRONT)
     runs = [loop.run(3, rollout) for rollout in ids]
     lost = [(~one.alive).sum() for one in runs]
-    return np.mean([[one.visited.sum() for one in runs], lost, [one.time for one in runs]], axis=1)
+    return np.mean([[one.visited.sum() for one in runs], lost, [one.step for one in runs]], axis=1)
 
 
 def shown(point: Point, cells: int) -> NDArray[np.float64]:

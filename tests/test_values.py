@@ -42,7 +42,6 @@ from planner.rollout_sampling import Luck
 from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.single_run import SingleRun
-from planner.rollouts.single_run import play as played
 from planner.rollouts.threshold_classes import CLASSES_A_NAT, classes_by_threshold
 from planner.settings import Settings
 from planner.simulator.state import MOST_PASSES
@@ -68,7 +67,7 @@ def survived_visits(world: World, plan: Plan, seed: int, rollout: int) -> np.nda
         passes[cell] += not stopped
         return stopped
 
-    played(SingleRun(compile_closed_loop(plan, world, interpreted=True), hit=hit))
+    SingleRun(compile_closed_loop(plan, world, interpreted=True), hit=hit).play()
     return passes
 
 
@@ -130,7 +129,7 @@ def test_the_closed_loop_against_every_pattern_of_hits(policy: str) -> None:
             passes[cell] += not stopped
             return stopped
 
-        done = played(SingleRun(loop, hit=judge))
+        done = SingleRun(loop, hit=judge).play()
         return np.stack([done.visited, 1 - (1 - world.detect.ravel()) ** passes])
 
     visited, found = expected(play, one_of([world.threat.ravel()]))

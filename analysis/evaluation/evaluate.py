@@ -253,6 +253,8 @@ class Evaluation(Result):
         """Figures of the rollouts, or exact figures of all possible histories."""
         longest = longest_run(self.world, self.plan, self.loop)
         sampled = Figures.of(self.tally, self.certain, longest, home_of(self.plan, self.tally, self.loop))
+        if self.loop == "open":
+            return sampled.with_delivered(self.closed_form)
         return sampled.with_tree(self.closed.tree) if isinstance(self.closed, TreeTruth) else sampled
 
     @cached_property
@@ -389,6 +391,11 @@ class Evaluation(Result):
     def survived(self) -> Coverage:
         """Coverage of cells that a robot entered and survived; its mean is exact if that is known."""
         return self._coverage("survived")
+
+    @property
+    def delivered(self) -> Coverage | None:
+        """Coverage of cells that a robot which visited them brought to a base; None: not known."""
+        return None if self.shown.delivered is None else self._coverage("delivered")
 
     def _coverage(self, meaning: str) -> Coverage:
         covered = getattr(self.shown, meaning)
@@ -550,7 +557,11 @@ def evaluate(
         seconds=last.seconds,
         compile_seconds=last.compile_seconds,
         partial=partial,
-        notes=(*cut_off(world, last.tally, plan), *(() if partial else too_few(last, rolled))),
+        notes=(
+            *cut_off(world, last.tally, plan),
+            *not_counted(last, plan),
+            *(() if partial else too_few(last, rolled)),
+        ),
         certain=certain,
         choices=choices,
         bound=bound,
@@ -618,6 +629,12 @@ def cut_off(world: World, tally: Tally, plan: Plan) -> tuple[str, ...]:
         f"{count:,} of {counted(tally.rollouts, 'rollout')} {'was' if count == 1 else 'were'} cut off at the step limit"
     )
     return (f"{cut}: raise {argument('max_steps')}",)
+
+
+def not_counted(last: Stage, plan: Plan) -> tuple[str, ...]:
+    """A note if robots return to base and the engine does not count cells delivered."""
+    said = f"cells delivered are not counted in JAX: use {argument('engine', 'numba')}"
+    return (said,) if plan.comes_home and last.engine == "jax" else ()
 
 
 def too_few(last: Stage, choices: RolloutChoices) -> tuple[str, ...]:

@@ -67,7 +67,11 @@ def return_text(evaluation: Evaluation) -> str:
     if home is None:
         return ""
     mean = robots_text(home.mean, home.robots, min(home.digits(), 2))
-    return f"{mean} back at base on average; all in {home.at_least[-1].share} of runs."
+    got = evaluation.delivered
+    brought = (
+        "" if got is None else f" {without_level(got.describe(100.0, ' %'))} of the accessible cells are delivered."
+    )
+    return f"{mean} back at base on average; all in {home.at_least[-1].share} of runs.{brought}"
 
 
 def completion_text(evaluation: Evaluation) -> str:

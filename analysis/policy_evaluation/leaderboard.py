@@ -6,7 +6,7 @@ import math
 import runpy
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cache, cached_property, partial
@@ -28,7 +28,7 @@ from analysis.theory.upper_bound import most_cells
 from analysis.utils.notes import ProgressCallback, quiet
 from analysis.utils.pool import answers
 from analysis.utils.progress import OnInterrupt, ask
-from analysis.utils.tables import csv_text, make_table, without_level
+from analysis.utils.tables import Column, csv_text, table_of, without_level
 from planner.arguments import argument
 from planner.errors import InputError, UsageError
 from planner.files import Json, check_file
@@ -492,16 +492,16 @@ class Suite(Mapping[str, World]):
 
 # The report of `mrac-jax suite`.
 
-RANKS: dict[str, Callable[[Row], object]] = {
-    "rank": lambda row: row.rank or "-",
-    "": lambda row: row.name,
-    "score, %": lambda row: _half(row.score),
-    "behind, points": lambda row: "" if row.rank == 1 else _half(row.behind),
-    "visited, %": lambda row: in_percent(row.coverage),
-    "lost, %": lambda row: in_percent(row.lost),
-    "first on": lambda row: row.first,
-    "worlds": lambda row: row.worlds,
-}
+RANKS = (
+    Column("rank", lambda row: row.rank or "-"),
+    Column("", lambda row: row.name, words=True),
+    Column("score, %", lambda row: _half(row.score)),
+    Column("behind, points", lambda row: "" if row.rank == 1 else _half(row.behind)),
+    Column("visited, %", lambda row: in_percent(row.coverage)),
+    Column("lost, %", lambda row: in_percent(row.lost)),
+    Column("first on", lambda row: row.first),
+    Column("worlds", lambda row: row.worlds),
+)
 """Columns of the table of ranks."""
 NOTES = (
     "score: (J - random walk) / (bound - random walk) of mean coverage J, averaged over worlds; ± half the 95 % "
@@ -515,7 +515,7 @@ def report(standing: Leaderboard) -> Report:
     """Ranks and worlds as tables; both as Markdown, all figures as CSV, and the worlds as files."""
     count = counted(len(standing.worlds), "world")
     mine = [row for row in standing.entries if row.name == standing.own]
-    ranks = _table(RANKS, ([make(row) for make in RANKS.values()] for row in standing.entries))
+    ranks = table_of(RANKS, standing.entries, padding=(0, 1, 0, 0))
     worlds = _worlds_table(standing)
     return Report(
         "suite", "suite", "Which policy covers most?", headline(standing), partial(as_json, standing),
@@ -555,20 +555,18 @@ def _half(estimate: Estimate | None, most: int | None = None) -> str:
 
 def _worlds_table(standing: Leaderboard) -> Table:
     names = [RANDOM, *(row.name for row in standing.entries if row.name != RANDOM)]
-    rows = []
-    for played in standing.worlds:
-        bound, best = played.limits.values()
-        limits = ceiled(bound, unit=""), "" if best is None else in_percent(best, 2)
-        covered = [_half(played.coverage(name), 100) for name in names]
-        rows.append([played.name, f"{played.cells:,}", *limits, *covered])
-    return _table(("world", "cells", "bound", "optimum", *names), rows)
 
+    def covered(name: str) -> Column:
+        return Column(name, lambda played: _half(played.coverage(name), 100))
 
-def _table(columns: Iterable[str], rows: Iterable[Iterable[object]]) -> Table:
-    table = make_table(columns, left=("", "world"), padding=(0, 1, 0, 0))
-    for row in rows:
-        table.add_row(*map(str, row))
-    return table
+    columns = (
+        Column("world", lambda played: played.name, words=True),
+        Column("cells", lambda played: f"{played.cells:,}"),
+        Column("bound", lambda played: ceiled(played.limits["bound"], unit="")),
+        Column("optimum", lambda played: None if played.optimum is None else in_percent(played.limits["optimum"], 2)),
+        *map(covered, names),
+    )
+    return table_of(columns, standing.worlds, padding=(0, 1, 0, 0))
 
 
 def _markdown(table: Table) -> Iterator[str]:

@@ -213,7 +213,7 @@ class Point:
     """A setting with its estimates.
 
     Attributes:
-        coverage: visited, a fraction of the accessible cells. losses: robots. time: steps.
+        coverage: by the metric of the choices, a fraction of the accessible cells. losses: robots. time: steps.
         value: visited, a fraction of the value of all free cells; None: the map has no values.
         least, most: lower confidence bound of the mean coverage, upper bound of the mean losses; each is wrong with
             probability at most `alpha` of `point_of`.
@@ -283,7 +283,7 @@ class Front(Searched):
     priced: tuple[Point, ...] = ()
     plan_file: str = ""
     json_keys = """
-        points=listed_points pick asked.losses=goal.losses asked.target=goal.target confirmed
+        points=listed_points pick choices.metric asked.losses=goal.losses asked.target=goal.target confirmed
         confirmed.first_rollout=choices.rollouts confirmed.bound=bound confirmed.tried=tried fresh=listed_corners
         command
     """
@@ -316,6 +316,11 @@ class Front(Searched):
         closed = [] if self.settings.plan_for == "closed_loop" else ["--plan-for", "closed_loop"]
         how = ["--plan", self.plan_file] if self.plan_file else [*closed, *point.setting.options()]
         return run_again(self.words, how, self.choices, exact=point.exact)
+
+    @property
+    def verb(self) -> str:
+        """What a team does with cells, for sentences."""
+        return "deliver" if self.choices.metric == "delivered" else "cover"
 
     @cached_property
     def efficient(self) -> tuple[bool, ...]:
@@ -372,11 +377,11 @@ def point_of(setting: Setting, found: Measured, cells: int, alpha: float, longes
     """
     return Point(
         setting,
-        found.mean("visited", 1.0 / cells),
+        found.mean(found.metric, 1.0 / cells),
         found.mean("lost"),
         found.mean("time", 1.0, longest if setting.deadline is None else min(longest, setting.deadline)),
         found.mean("value") if found.counted == "value" else None,
-        found.bounds("visited", 2 * alpha)[0] / cells,
+        found.bounds(found.metric, 2 * alpha)[0] / cells,
         found.bounds("lost", 2 * alpha)[1],
         found.exact,
     )

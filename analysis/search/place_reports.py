@@ -94,7 +94,7 @@ def starts_findings(starts: Starts) -> Iterator[str]:
 def _starts_key_figures(starts: Starts) -> list[KeyFigure]:
     out, again = list[KeyFigure](), starts.confirmed
     if again is not None and again.counted is not None and again.losses is not None:
-        name = "visited on average" if again.value is None else "of the value visited"
+        name = f"{starts.choices.metric} on average" if again.value is None else "of the value visited"
         fresh = "" if starts.exact else ", fresh rollouts"
         out = [share_figure(again.counted, name, fresh), team_figure(again.losses, len(starts.starts))]
     if starts.gain is not None:
@@ -139,7 +139,7 @@ def _starts_table(starts: Starts) -> Table:
         Column("bound", lambda p: f"{p.screen:.1f}"),
         Column("one robot", lambda p: None if p.one_robot is None else f"{p.one_robot:.1f}"),
         in_percents("value, %", lambda p: p.value, shown=valued),
-        in_percents("visited, %", lambda p: p.coverage),
+        in_percents(f"{starts.choices.metric}, %", lambda p: p.coverage),
         Column("lost", lambda p: p.losses and of_all(p.losses.mean, len(starts.starts))),
         Column("behind, points", behind),
         Column("rollouts", lambda p: f"{p.rollouts:,}" if p.rollouts else ""),

@@ -259,7 +259,7 @@ def front_summary(front: Front) -> str:
         points = _reported(front)
         said = ", or ".join(f"{percent(point.coverage.mean)} and lose {_lost(front, point)}" for point in points)
         goal = f"; the goal is {limit}" * bool(front.goal)
-        return f"{team} can cover {said}, on average{_exact(points)}{goal}."
+        return f"{team} can {front.verb} {said}, on average{_exact(points)}{goal}."
     if front.goal.pick([point.figures for point in front.points]) is not None:
         return f"No setting meets the goal with confidence 0.95: {limit}. Allow a little more, or raise --rollouts."
     best = max(front.points, key=lambda one: one.coverage.mean)
@@ -272,7 +272,7 @@ def _limit(front: Front) -> str:
     goal = front.goal
     if goal.losses is not None:
         return f"at most {goal.losses:g} of {counted(len(front.starts), 'robot')} lost"
-    return f"{chance(goal.target or 0, 12)} or more covered"
+    return f"{chance(goal.target or 0, 12)} or more {front.verb}ed"
 
 
 def _exact(points: Sequence[Point]) -> str:
@@ -314,14 +314,16 @@ def _kept(front: Front, again: Point) -> str:
     """The confidence with which the selected point meets the limit."""
     if again.exact:
         return "The goal is met: these figures are exact."
-    bound = f"{floored(again.least, 2)} or more is covered"
+    bound = f"{floored(again.least, 2)} or more is {front.verb}ed"
     if front.goal.losses is not None:
         bound = f"{ceil(100 * again.most) / 100:.2f} robots or fewer are lost"
     return f"The goal is met with confidence 0.95, for all tries together: on average {bound}."
 
 
 def _fresh(front: Front, point: Point) -> str:
-    said = f"{point.coverage.describe(100, ' %')} covered, {losses_sentence(point.losses, len(front.starts))} lost"
+    said = (
+        f"{point.coverage.describe(100, ' %')} {front.verb}ed, {losses_sentence(point.losses, len(front.starts))} lost"
+    )
     return without_level(said).replace(" (exact)", "")
 
 
@@ -333,7 +335,7 @@ def _front_key_figures(front: Front) -> list[KeyFigure]:
             for point in front.priced
         ]
     return [
-        share_figure(again.coverage, "visited on average", "" if again.exact else ", fresh rollouts"),
+        share_figure(again.coverage, f"{front.choices.metric} on average", "" if again.exact else ", fresh rollouts"),
         team_figure(again.losses, len(front.starts)),
         KeyFigure(front.world.pace.steps(again.time.mean), "mean time", _named(front, again)),
     ]
@@ -355,7 +357,7 @@ def _front_chart(front: Front, which: str) -> Chart:
             for name, points in shown.items() if points
         ),
         "robots lost on average" if robots else f"steps on average{front.world.pace.each}",
-        "visited, % of the accessible cells", unit="%", y_range=(0, 100), fit=True,
+        f"{front.choices.metric}, % of the accessible cells", unit="%", y_range=(0, 100), fit=True,
         at_x=((goal.losses, f"at most {goal.losses:g} lost"),) if robots and goal.losses is not None else (),
         at_y=() if goal.target is None else ((100 * goal.target, f"{chance(goal.target, 12)} target"),),
         note="Farther up and to the left is better.",
@@ -395,7 +397,7 @@ def _points(front: Front, whole: bool = False) -> Table:
         Column("risk cap", lambda p: limit(p.setting.risk_cap)),
         Column("robot value", lambda p: limit(p.setting.robot_value)),
         Column("ends at", lambda p: end(p.setting.deadline)),
-        in_percents("visited, %", lambda p: p.coverage),
+        in_percents(f"{front.choices.metric}, %", lambda p: p.coverage),
         Column("value, %", lambda p: p.value and in_percent(p.value.mean, 2), shown=front.world.value is not None),
         Column("lost", lambda p: p.losses, "from .. to"),
         Column("steps", lambda p: f"{p.time.mean:,.0f}"),

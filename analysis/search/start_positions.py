@@ -51,7 +51,7 @@ class Place:
         screen: policy-independent upper bound of the expected cells visited (or of their value), `sum_c g_c` of
             `reach_chances`.
         one_robot: eq. (4): expected cells (or value) visited by one robot alone; None: not planned.
-        coverage: visited by the team, a fraction of the accessible cells; None: not simulated.
+        coverage: by the team, in the metric of the choices, a fraction of the accessible cells; None: not simulated.
         value: visited, a fraction of the value of all free cells; None: the map has no values.
         losses: robots lost. rollouts: number of rollouts of the estimates.
         behind: interval of the best place's lead in coverage (or value); the intervals of one search are simultaneous
@@ -112,7 +112,7 @@ class Starts(Searched):
     gain: Estimate | None = None
     confirmed: Place | None = None
     json_keys = """
-        depot shown.coverage value?=shown.value stay gain now=present confirmed=confirmed
+        depot choices.metric shown.coverage value?=shown.value stay gain now=present confirmed=confirmed
         confirmed.first_rollout=choices.rollouts candidates=listed_places command rolled
     """
 
@@ -141,6 +141,8 @@ class Starts(Searched):
     @property
     def covered(self) -> str:
         """The quantity of the figures, for sentences."""
+        if self.choices.metric != "visited":
+            return self.choices.metric
         return "covered" if self.world.value is None else "of the value covered"
 
     @property
@@ -563,7 +565,7 @@ class _Field(Search):
         """The place with its estimates."""
         return replace(
             place,
-            coverage=found.mean("visited", 1.0 / self.cells),
+            coverage=found.mean(found.metric, 1.0 / self.cells),
             value=found.mean("value") if found.counted == "value" else None,
             losses=found.mean("lost"),
             rollouts=found.rollouts,
