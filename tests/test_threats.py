@@ -432,6 +432,14 @@ def test_a_polygon_between_the_centres_is_noted(tmp_path: Path) -> None:
     assert "threats[0]: features[0] holds no pixel's centre: no threat from it" in notes
 
 
+RINGS: list[Any] = [
+    [[1e308, 1e308], [-1e308, 1e308], [0, -1e308]], [["0", "0"], ["5", "0"], ["5", "5"]],
+    [[False, False], [True, False], [True, True]], [[0], [5], [5]], ["00", "50", "55"],
+    [[0, 0], [5, 0], [10**400, 5]], [[0, 0], [5, 0], [None, 5]], [{"x": 1, "y": 2}] * 3,
+]  # fmt: skip
+"""Coordinates that cannot be."""
+
+
 @pytest.mark.parametrize(
     ("wrong", "names"),
     [
@@ -444,25 +452,12 @@ def test_a_polygon_between_the_centres_is_noted(tmp_path: Path) -> None:
         (feature([[[0, 0], [1, math.inf], [1, 1]]], 0.1), "three finite points"),
         (feature([0, 0], 0.1, "Point"), "'Point'"),
         ({"type": "Feature", "properties": [1]}, "properties"),
+        *((feature([ring], 0.5), "a.geojson: features[0]: wrong coordinates (a point is ") for ring in RINGS),
     ],
 )
 def test_broken_polygons(tmp_path: Path, wrong: dict, names: str) -> None:
-    with pytest.raises(MapError, match=re.escape(names)):
+    with pytest.raises(MapError, match=re.escape(names)) as caught:
         load(tmp_path, [{"polygons": geojson(tmp_path, wrong)}])
-
-
-@pytest.mark.parametrize(
-    "ring",
-    [
-        [[1e308, 1e308], [-1e308, 1e308], [0, -1e308]], [["0", "0"], ["5", "0"], ["5", "5"]],
-        [[False, False], [True, False], [True, True]], [[0], [5], [5]], ["00", "50", "55"],
-        [[0, 0], [5, 0], [10**400, 5]], [[0, 0], [5, 0], [None, 5]], [{"x": 1, "y": 2}] * 3,
-    ],
-)  # fmt: skip
-def test_coordinates_that_cannot_be(tmp_path: Path, ring: list) -> None:
-    (tmp_path / "a.geojson").write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
-    with pytest.raises(MapError, match=r"a\.geojson: features\[0\]: wrong coordinates \(a point is ") as caught:
-        load(tmp_path, [{"polygons": "a.geojson", "p": 0.5}])
     assert len(str(caught.value)) < 500
 
 
