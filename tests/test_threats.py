@@ -254,20 +254,6 @@ def test_points_at_the_centres(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        "1,2,0.5\n3,4,0.25\n",
-        "x,y,strength\n1,2,0.5\n3,4,0.25\n",
-        "a,b,c\n1,2,0.5\n\n3,4,0.25\n",
-        "id,p,y_m,x_m\nfirst,0.5,2,1\nsecond,0.25,4,3\n",
-    ],
-)
-def test_points_files(tmp_path: Path, text: str) -> None:
-    (tmp_path / "p.csv").write_text(text)
-    assert read_points(tmp_path / "p.csv", Frame((9, 9), 1.0))[0].tolist() == [[1, 2, 0.5], [3, 4, 0.25]]
-
-
-@pytest.mark.parametrize(
     ("text", "names"),
     [
         ("", "is empty"),
@@ -462,6 +448,10 @@ def test_broken_polygons(tmp_path: Path, wrong: dict, names: str) -> None:
 
 
 TABLES = [
+    ("1,2,0.5\n3,4,0.25\n", "", ""),
+    ("x,y,strength\n1,2,0.5\n3,4,0.25\n", "", ""),
+    ("a,b,c\n1,2,0.5\n\n3,4,0.25\n", "", ""),
+    ("id,p,y_m,x_m\nfirst,0.5,2,1\nsecond,0.25,4,3\n", "", ""),
     ("x;y;strength\n1;2;0.5\n3;4;0.25\n", "semicolons", "points"),
     ("x;y;strength\r\n1,0;2;0,5\r\n\r\n3;4;0,25\r\n", "semicolons", "commas"),
     ("1,0\t2\t0,5\n3\t4\t0,25\n", "tabs", "commas"),
@@ -470,21 +460,22 @@ TABLES = [
     ("x y strength\n1 2  0.5\n3   4 0.25\n", "spaces", "points"),
     ("x|y|strength\n1,000|2,000|5,0e-1\n3|4|0,250\n", "bars", "commas"),
 ]
+"""The same two points; separator and decimal sign that a note names."""
 
 
 @pytest.mark.parametrize(("text", "separator", "decimal"), TABLES)
-def test_points_between_other_separators(tmp_path: Path, text: str, separator: str, decimal: str) -> None:
+def test_points_files(tmp_path: Path, text: str, separator: str, decimal: str) -> None:
     (tmp_path / "p.csv").write_bytes(text.encode())
     found = read_points(tmp_path / "p.csv", Frame((9, 9), 1.0))
     assert found.places.tolist() == [[1, 2, 0.5], [3, 4, 0.25]]
     note = f"columns are read as separated by {separator}, numbers as written with decimal {decimal}"
-    assert found.notes == (note,)
+    assert found.notes == ((note,) if separator else ())
     np.save(tmp_path / "m.npy", np.zeros((9, 9)))
-    for key in ("threats", "value"):
-        (tmp_path / "s.yaml").write_text(
-            f"map: m.npy\n{key}:\n- {{points: p.csv, falloff: {{kind: disc, radius: 1}}}}\n"
-        )
-        assert f"{key}[0]: {note}" in load_input(tmp_path / "s.yaml").notes
+    for key in ("threats", "value") if separator else ():
+        notes = scenario(
+            tmp_path, **{"map": "m.npy", key: [{"points": "p.csv", "falloff": {"kind": "disc", "radius": 1}}]}
+        ).notes
+        assert f"{key}[0]: {note}" in notes
 
 
 def test_a_column_that_is_not_read_may_hold_anything(tmp_path: Path) -> None:
