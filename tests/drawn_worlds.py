@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,8 +17,8 @@ from numpy.typing import NDArray
 from oracle_enumeration import Threat
 
 from planner.errors import MracError
-from planner.make_plan import allocated_plan
-from planner.plan.plan import Plan
+from planner.make_plan import allocated_plan, make_plan
+from planner.plan.plan import Plan, RobotPlan
 from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.exact_tree import WHOLE, grow_tree
 from planner.rollouts.single_run import SingleRun
@@ -221,6 +222,25 @@ def assert_as_enumerated(plan: Plan, world: World, wanted: dict[str, Counter[Any
     assert ends == pytest.approx(dict(wanted["outcome"]), abs=1e-9)
 
 
+# Worlds that have broken pictures and pages.
+
+
+def extreme_worlds(crowd: bool = True) -> dict[str, tuple[World, Plan]]:
+    """One cell, a single row, a tall map, cells out of reach, many robots, another planner's plan."""
+    worlds = {
+        "one": World.create([[0.0]]), "row": World.create([[0.0] * 40 + [0.5]], cell_size=2.5),
+        "tall": World.create(np.where(np.arange(60)[:, None] % 7 == 6, [[0.1, 0.2, np.nan]], [[0.0, 0.05, 0.3]])),
+        "split": World.create([[0.0, np.nan, 0.2], [0.0, np.nan, 0.2]]),
+    }  # fmt: skip
+    plans = {name: make_plan(world, [[0, 0]]) for name, world in worlds.items()}
+    if crowd:
+        many = World.create(np.where(np.random.default_rng(3).random((20, 25)) < 0.2, 0.04, 0.0))
+        worlds["crowd"], plans["crowd"] = many, make_plan(many, place_starts(many, 64)[0])
+    row, paths = worlds["row"], tuple(RobotPlan(robot.path[:9]) for robot in plans["row"].robots)
+    foreign = Plan(row.shape, row.sha256, None, paths, outcome="end_of_paths", time=8)
+    return {name: (world, plans[name]) for name, world in worlds.items()} | {"foreign": (row, foreign)}
+
+
 # Scenarios with threats, and files for them.
 
 
@@ -243,6 +263,16 @@ def load(folder: Path, threats: list, height: int = 6, width: int = 9, **more: o
 def raster(folder: Path, values: np.ndarray, name: str = "r.npy") -> str:
     np.save(folder / name, values)
     return name
+
+
+def fields(file: Path, *named: tuple[str, float, float, float, float, float]) -> None:
+    """A GeoJSON file of rectangles: each its name, p, west, south, east, north."""
+    features = []
+    for name, p, west, south, east, north in named:
+        ring = [[west, south], [east, south], [east, north], [west, north], [west, south]]
+        shape = {"type": "Polygon", "coordinates": [ring]}
+        features.append({"type": "Feature", "properties": {"name": name, "p": p}, "geometry": shape})
+    file.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
 
 
 # --- Small missions with any of the options that a closed loop has, drawn by a number: what engines are compared on.

@@ -26,8 +26,6 @@ from analysis.statistics.estimates import FIRST_LOOK
 from planner.errors import UsageError
 from planner.make_plan import make_plan
 from planner.plan.plan import Plan
-from planner.settings import Settings
-from planner.world.start_rule import place_starts
 from planner.world.world import World
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
@@ -36,7 +34,7 @@ WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
 @cache
 def team(robots: int, name: str = "contiguous-14x23-1000-k2") -> tuple[World, Plan]:
     world = load_fixture(name).world
-    return world, make_plan(world, place_starts(world, robots)[0])
+    return world, mrac.plan(world, robots)
 
 
 def answer(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
@@ -44,41 +42,30 @@ def answer(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
 
 
 @cache
-def compared(robots: tuple[int, int], choices: RolloutChoices) -> Comparison:
-    return compare(*(make_side(*team(k), choices) for k in robots))
+def compared(robots: tuple[int, int], rollouts: int = 0, **how: Any) -> Comparison:
+    how |= {"rollouts": rollouts} if rollouts else {}
+    return compare(*(make_side(*team(k), RolloutChoices(**how)) for k in robots))
 
 
 def test_a_difference_is_that_of_the_rollouts_one_by_one() -> None:
-    choices = RolloutChoices(rollouts=1000, seed=3)
-    found = compared((3, 4), choices)
-    singles = [make_singles(*team(k), choices)(0, 1000) for k in (3, 4)]
-    apart = (singles[1].visited.astype(int) - singles[0].visited) / found.a.cells
+    found, choices = compared((3, 4), 1000, seed=3), RolloutChoices(rollouts=1000, seed=3)
+    a, b = (make_singles(*team(k), choices)(0, 1000) for k in (3, 4))
+    apart = (b.visited.astype(int) - a.visited) / found.a.cells
     estimate = found.difference("visited").estimate
     assert estimate.mean == pytest.approx(apart.mean(), rel=1e-12)
     assert estimate.se == pytest.approx(apart.std(ddof=1) / np.sqrt(1000), rel=1e-9)
     assert (found.ahead, found.behind) == (int((apart > 0).sum()), int((apart < 0).sum()))
-    alive = found.difference("alive").estimate
-    assert alive.mean == pytest.approx((singles[1].alive.astype(int) - singles[0].alive).mean())
+    assert found.difference("alive").estimate.mean == pytest.approx((b.alive.astype(int) - a.alive).mean())
 
 
-def test_turned_round_it_changes_sign() -> None:
-    choices = RolloutChoices(rollouts=2048)
-    there, back = compared((3, 4), choices), compared((4, 3), choices)
+def test_turned_round_it_changes_sign_and_the_same_on_both_sides_differs_in_nothing() -> None:
+    there, back, same = (compared(robots, 2048) for robots in ((3, 4), (4, 3), (4, 4)))
     for figure in FIGURES:
-        one, other = there.difference(figure).estimate, back.difference(figure).estimate
-        assert one.mean == pytest.approx(-other.mean, abs=1e-12)
-        assert one.se == pytest.approx(other.se, abs=1e-12)
-    assert (there.ahead, there.behind) == (back.behind, back.ahead)
-
-
-def test_the_same_on_both_sides_differs_in_nothing() -> None:
-    found = compared((4, 4), RolloutChoices(rollouts=2048))
-    assert found.ahead == found.behind == 0
-    for figure in FIGURES:
-        estimate = found.difference(figure).estimate
-        assert (estimate.mean, estimate.se) == (0, 0)
-        assert estimate.ci95 == (0, 0)
-    assert headline(found) == "A and B are equal: no difference (exact)."
+        one, other, none = (found.difference(figure).estimate for found in (there, back, same))
+        assert (one.mean, one.se) == pytest.approx((-other.mean, other.se), abs=1e-12)
+        assert (none.mean, none.se, none.ci95) == (0, 0, (0, 0))
+    assert (there.ahead, there.behind) == (back.behind, back.ahead) and same.ahead == same.behind == 0
+    assert headline(same) == "A and B are equal: no difference (exact)."
 
 
 def test_rests_of_two_missions_differ_by_what_they_go_on_from(tmp_path: Path) -> None:
@@ -105,99 +92,64 @@ def test_plans_that_differ_in_their_areas_alone_are_told_apart() -> None:
 
 @pytest.mark.usefixtures("full_effort")
 def test_the_sentence_says_what_differs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    asked = (WORLD, "--robots", "1", "--b.robots", "4", "--b.risk", "log", "--rollouts", "512")
-    assert (
-        " points more of the accessible cells than A (1 robot, risk paper) on average (exact);"
-        in answer(capsys, *asked)["answer"]
-    )
-    found = answer(capsys, *asked, "--exact", "never")
-    assert (
-        " points more of the accessible cells than A (1 robot, risk paper) on average (exact);"
-        in answer(capsys, *asked, "--exact", "0.5")["answer"]
-    )
-    assert "B (4 robots, risk log) visits" in found["answer"]
-    assert "than A (1 robot, risk paper) on average" in found["answer"]
-    assert found["differing"] == {"a": ["1 robot", "risk paper"], "b": ["4 robots", "risk log"]}
-
-    limited = ("--policy", "per_cell", "--robot-value", "30.5")
-    found = answer(capsys, WORLD, *limited, "--b.policy", "mrac", "--rollouts", "64")
-    assert found["differing"] == {"a": ["policy per_cell", "robot value 30.5"], "b": ["policy mrac", "no robot value"]}
-
-    found = answer(capsys, WORLD, "--deadline", "90", "--b.return-to", "home", "--rollouts", "64")
-    assert found["differing"] == {"a": ["no return to"], "b": ["return to home"]}  # the deadline is both sides'
+    asked = ("--robots", "1", "--b.robots", "4", "--b.risk", "log", "--rollouts", "512")
+    said = " points more of the accessible cells than A (1 robot, risk paper) on average"
+    for how in ((), ("--exact", "0.5")):
+        assert f"{said} (exact);" in answer(capsys, WORLD, *asked, *how)["answer"]
+    found = answer(capsys, WORLD, *asked, "--exact", "never")["answer"]
+    assert "B (4 robots, risk log) visits" in found and "than A (1 robot, risk paper) on average" in found
+    one, other = (f"{row},{col}" for row, col in team(2)[1].starts)
+    for words, a, b in (
+        ("--robots 1 --b.robots 4 --b.risk log", ["1 robot", "risk paper"], ["4 robots", "risk log"]),
+        ("--policy per_cell --robot-value 30.5 --b.policy mrac", ["policy per_cell", "robot value 30.5"],
+         ["policy mrac", "no robot value"]),
+        ("--deadline 90 --b.return-to home", ["no return to"], ["return to home"]),  # the deadline is both sides'
+        (f"--starts {one} --b.starts {other}", ["its own starts"], ["other starts"]),
+    ):  # fmt: skip
+        found = answer(capsys, WORLD, *words.split(), "--rollouts", "64", "--exact", "never")
+        assert found["differing"] == {"a": a, "b": b}
 
     paths = tmp_path / "paths.json"
-    world, plan = team(3)
-    width = world.shape[1]
-    moves = [[[int(at) for at in divmod(int(cell), width)] for cell in robot.path] for robot in plan.robots]
-    paths.write_text(json.dumps({"paths": moves}))
+    plan, cells_of = team(3)[1], lambda path: np.transpose(np.divmod(path, 23))
+    paths.write_text(json.dumps({"paths": [cells_of(robot.path).tolist() for robot in plan.robots]}))
     assert run(["compare", WORLD, str(paths), "--robots", "3", "--rollouts", "512"]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "B (an external plan, open loop) visits" in said
-    assert "than A (an MRAC plan, closed loop)" in said
+    assert "B (an external plan, open loop) visits" in said and "than A (an MRAC plan, closed loop)" in said
     assert "note: in A the areas of lost robots are reassigned, in B not" in said
-
-    one, other = (f"{row},{col}" for row, col in place_starts(world, 2)[0])
-    found = answer(capsys, WORLD, "--starts", one, "--b.starts", other, "--rollouts", "64")
-    assert found["differing"] == {"a": ["its own starts"], "b": ["other starts"]}
 
 
 def test_two_sensors_on_the_same_luck(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """B's option is one of A's team's; the means are those of each by itself, and not to see a difference of maps."""
-    scenario = tmp_path / "dark.yaml"
-    scenario.write_text(f"map: {WORLD}\nprior_map: {{p: 0.04}}\nsensor_range: 2\nrobots: {{count: 3}}\n")
-    asked = (
-        str(scenario),
-        "--robots",
-        "2",
-        "--sensor-range",
-        "1",
-        "--b.sense",
-        "inf",
-        "--rollouts",
-        "2048",
-        "--exact",
-        "never",
-    )
-    found = answer(capsys, *asked)
+    scenario = str(tmp_path / "dark.yaml")
+    Path(scenario).write_text(f"map: {WORLD}\nprior_map: {{p: 0.04}}\nsensor_range: 2\nrobots: {{count: 3}}\n")
+    asked = "--robots 2 --sensor-range 1 --b.sense inf --rollouts 2048 --exact never"
+    found = answer(capsys, scenario, *asked.split(" "))
     assert found["differing"] == {"a": ["robots see 1 cell far"], "b": ["robots see everything"]}
     assert (found["a"]["robots"], found["b"]["robots"]) == (2, 2)
     low, high = found["difference"]["visited"]["ci95"]
     assert 0 < low < high and found["difference"]["visited"]["gain"] > 2
-    world = load_world(str(scenario))
+    world = load_world(scenario)
     for side, far in (("a", 1), ("b", inf)):
         seeing = world.with_sensor_range(far)
-        plan = make_plan(seeing, place_starts(seeing, 2)[0])
-        alone = (
-            make_singles(seeing, plan, RolloutChoices(rollouts=2048))(0, 2048).visited.mean()
-            / found[side]["accessible"]
-        )
-        assert found[side]["mean"]["visited"] == pytest.approx(alone, abs=0.02)
-    told = team(2)
-    for known, words in ((None, "known map"), (1, "robots see 1 cell far")):
-        one = told[0] if known is None else told[0].with_prior_map(0.04, sensor_range=known)
-        dark = told[0].with_prior_map(0.04, sensor_range=2)
-        sides = (make_side(w, make_plan(w, told[1].starts), RolloutChoices(rollouts=64)) for w in (one, dark))
+        alone = make_singles(seeing, mrac.plan(seeing, 2), RolloutChoices(rollouts=2048))(0, 2048).visited.mean()
+        assert found[side]["mean"]["visited"] == pytest.approx(alone / found[side]["accessible"], abs=0.02)
+    known, plan = team(2)
+    for one, words in ((known, "known map"), (known.with_prior_map(0.04, sensor_range=1), "robots see 1 cell far")):
+        worlds = (one, known.with_prior_map(0.04, sensor_range=2))
+        sides = (make_side(w, make_plan(w, plan.starts), RolloutChoices(rollouts=64)) for w in worlds)
         assert compare(*sides).differing == ((words,), ("robots see 2 cells far",))
     assert "error: B:" in (said := error_of(capsys, "compare", WORLD, "--b.sense", "1")) and "has no effect" in said
-    assert "--sensor-range 'far'" in error_of(capsys, "compare", str(scenario), "--sensor-range", "far")
+    assert "--sensor-range 'far'" in error_of(capsys, "compare", scenario, "--sensor-range", "far")
 
 
 def test_the_interval_holds_the_exact_difference() -> None:
-    found = compared((1, 2), RolloutChoices(rollouts=65_536, seed=8))
-    for figure in ("visited", "survived"):
-        exact, estimate = found.exact_difference(figure), found.difference(figure).estimate
-        assert exact is not None and abs(estimate.mean - exact) <= 4 * estimate.se
-
-
-def test_common_random_numbers_are_sharper_for_small_changes() -> None:
-    """Open against closed loop of the same plan share the luck; the variance of the difference says so."""
-    world, plan = team(2)
-    sides = [make_side(world, plan, RolloutChoices(loop=loop, rollouts=8192)) for loop in ("open", "closed")]
-    found = compare(*sides)
-    assert found.difference("visited").gain > 2
-    exact, estimate = found.exact_difference("visited"), found.difference("visited").estimate
-    assert exact is not None and abs(estimate.mean - exact) <= 4 * estimate.se
+    """Common random numbers are sharper for small changes: open and closed loop of the same plan share the luck."""
+    sides = [make_side(*team(2), RolloutChoices(loop=loop, rollouts=8192)) for loop in ("open", "closed")]
+    loops, teams = compare(*sides), compared((1, 2), 65_536, seed=8)
+    assert loops.difference("visited").gain > 2
+    for found, figure in ((teams, "visited"), (teams, "survived"), (loops, "visited")):
+        estimate = found.difference(figure).estimate
+        assert abs(estimate.mean - found.exact_difference(figure)) <= 4 * estimate.se
 
 
 @pytest.mark.usefixtures("few_lanes")
@@ -212,11 +164,10 @@ def test_engines_give_the_same_comparison() -> None:
 
 
 def test_precision_is_of_the_difference_and_looked_at_after_doubling() -> None:
-    found = compared((3, 4), RolloutChoices(precision=0.004))
-    assert found.difference("visited").estimate.half_width < 0.004
-    assert found.rollouts in [FIRST_LOOK << j for j in range(6)]
-    half = compared((3, 4), RolloutChoices(rollouts=found.rollouts // 2))
-    assert half.difference("visited").estimate.half_width >= 0.004
+    found = compared((3, 4), precision=0.004)
+    half = compared((3, 4), found.rollouts // 2)
+    widths = [one.difference("visited").estimate.half_width for one in (found, half)]
+    assert widths[0] < 0.004 <= widths[1] and found.rollouts in [FIRST_LOOK << j for j in range(6)]
 
 
 @pytest.mark.parametrize(
@@ -251,88 +202,73 @@ def test_the_command_on_teams_settings_plans_and_loops(capsys: pytest.CaptureFix
     low, high = found["difference"]["visited"]["ci95"]
     assert 0 < low < high and found["b_ahead"]["mean"] > 0.5 and "more" in found["answer"]
 
-    found = answer(capsys, WORLD, "--robots", "1", "--b.risk", "log", "--rollouts", "512")
+    few = (WORLD, "--rollouts", "512")
+    found = answer(capsys, *few, "--robots", "1", "--b.risk", "log")
     assert (found["a"]["settings"]["risk"], found["b"]["settings"]["risk"]) == ("paper", "log")
     assert found["exact_difference"]["visited"] is not None
 
-    plan = tmp_path / "plan.json"
+    plan, stays = str(tmp_path / "plan.json"), str(tmp_path / "stays.json")
     team(3)[1].save(plan)
-    found = answer(capsys, WORLD, str(plan), "--robots", "3", "--rollouts", "512")
-    assert found["difference"]["visited"]["mean"] == 0
-
-    stays = tmp_path / "stays.json"
-    start = [int(at) for at in divmod(team(1)[1].robots[0].path[0], 23)]
-    stays.write_text(json.dumps({"paths": [[start]]}))
-    found = answer(capsys, WORLD, str(stays), "--loop", "open", "--rollouts", "512")
+    assert answer(capsys, WORLD, plan, *few[1:], "--robots", "3")["difference"]["visited"]["mean"] == 0
+    Path(stays).write_text(json.dumps({"paths": [team(1)[1].starts.tolist()]}))
+    found = answer(capsys, WORLD, stays, *few[1:], "--loop", "open")
     assert found["b"]["settings"] is None and found["difference"]["visited"]["ci95"][1] < 0
 
-    assert run(["compare", WORLD, "--robots", "3", "--b.loop", "open", "--rollouts", "512"]) == 0
-    assert "; open loop" in " ".join(capsys.readouterr().out.split())
-    assert run(["compare", WORLD, "--robots", "3", "--deadline", "40", "--b.density", "8", "--rollouts", "512"]) == 0
-    assert "by step 40" in " ".join(capsys.readouterr().out.split())
+    for words, said in (("--b.loop open", "; open loop"), ("--deadline 40 --b.density 8", "by step 40")):
+        assert run(["compare", *few, "--robots", "3", *words.split()]) == 0
+        assert said in " ".join(capsys.readouterr().out.split())
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("compare WORLD --b.robots 0", "--b.robots 0; expected a whole number, 1 to 1024"),
-        ("compare WORLD --b.robot 3", "did you mean"),
-        ("compare nowhere.npz", "a: nowhere.npz"),
-        ("compare WORLD nowhere.npz", "b: nowhere.npz"),
-        ("compare WORLD nowhere.json", "b: nowhere.json"),
-        ("compare WORLD x.json --b.plan y.json", "one of them"),
-        ("compare WORLD --b.loop open --b.threat-checks first_visit", "closed loop"),
-        ("compare WORLD --precision 0.1 --rollouts 5", "one of them"),
-        ("compare", "a"),
-    ],
-)
-def test_wrong_usage_is_one_line_and_status_2(words: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert said in refused(capsys, *(WORLD if word == "WORLD" else word for word in words.split())).lower()
+WRONG = {
+    "compare WORLD --b.robots 0": "--b.robots 0; expected a whole number, 1 to 1024",
+    "compare WORLD --b.robot 3": "did you mean", "compare nowhere.npz": "a: nowhere.npz",
+    "compare WORLD nowhere.npz": "b: nowhere.npz", "compare WORLD nowhere.json": "b: nowhere.json",
+    "compare WORLD x.json --b.plan y.json": "one of them", "compare": "a",
+    "compare WORLD --b.loop open --b.threat-checks first_visit": "closed loop",
+    "compare WORLD --precision 0.1 --rollouts 5": "one of them",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", WRONG)
+def test_wrong_usage_is_one_line_and_status_2(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert WRONG[words] in refused(capsys, *(WORLD if word == "WORLD" else word for word in words.split())).lower()
 
 
 def test_who_comes_home_is_compared_too(capsys: pytest.CaptureFixture[str]) -> None:
     """Against the rollouts one by one; where one side alone comes home its own figures stand in a note."""
-    world, _ = team(3)
-    starts = place_starts(world, 3)[0]
-    plans = [make_plan(world, starts, Settings(return_to="home", range=60, policy=p)) for p in ("mrac", "per_cell")]
-    choices = RolloutChoices(rollouts=1024, seed=5)
+    world, choices = team(3)[0], RolloutChoices(rollouts=1024, seed=5)
+    plans = [mrac.plan(world, 3, return_to="home", range=60, policy=policy) for policy in ("mrac", "per_cell")]
     sides = [make_side(world, plan, choices) for plan in plans]
-    found, singles = compare(*sides), [make_singles(world, plan, choices)(0, 1024) for plan in plans]
-    home = np.array([one.home for one in singles], dtype=np.int64)
+    found = compare(*sides)
+    home = np.array([make_singles(world, plan, choices)(0, 1024).home for plan in plans], dtype=np.int64)
     assert [found.mean(side, "home") for side in sides] == pytest.approx(home.mean(axis=1))
     apart = {"home": home[1] - home[0], "all_home": (home[1] == 3).astype(int) - (home[0] == 3)}
     for figure, values in apart.items():
         estimate = found.difference(figure).estimate
         assert estimate.mean == pytest.approx(values.mean()) and abs(values).sum() > 0
         assert estimate.se == pytest.approx(values.std(ddof=1) / 32, rel=1e-9)
-    asked = (WORLD, "--robots", "3", "--return-to", "home", "--rollouts", "256")
-    both = answer(capsys, *asked, "--b.policy", "per_cell")
+    asked = (WORLD, "--robots", "3", "--rollouts", "256")
+    both = answer(capsys, *asked, "--return-to", "home", "--b.policy", "per_cell")
     assert both["difference"].keys() == both["a"]["mean"].keys() == {*FIGURES, "home", "all_home", "delivered"}
-    assert run(["compare", WORLD, "--robots", "3", "--b.return-to", "home", "--rollouts", "256"]) == 0
+    assert run(["compare", *asked, "--b.return-to", "home"]) == 0
     assert "note: B's robots return to base, " in " ".join(capsys.readouterr().out.split())
-    alone = answer(capsys, *asked[:3], "--b.return-to", "home", "--rollouts", "256")
-    assert alone["difference"].keys() == alone["a"]["mean"].keys() == set(FIGURES)
-    assert "home" in alone["b"]["mean"]
+    alone = answer(capsys, *asked, "--b.return-to", "home")
+    assert alone["difference"].keys() == alone["a"]["mean"].keys() == set(FIGURES) and "home" in alone["b"]["mean"]
 
 
 def test_the_headline_says_how_often_and_with_what_confidence() -> None:
     """A share of runs is the only percentage of the sentence."""
-    found = compared((3, 4), RolloutChoices(rollouts=6000, seed=3))
-    runs = [replace(found, ahead=ahead, behind=behind) for ahead, behind in ((6000, 0), (5999, 1))]
-    assert [headline(one).rpartition("; ")[2] for one in runs] == [
-        "B is ahead in 100 % of runs, behind in 0 %.", "B is ahead in > 99.9 % of runs, behind in < 0.1 %.",
-    ]  # fmt: skip
-    few = compared((3, 4), RolloutChoices(rollouts=4, seed=3))
+    found, few = (compared((3, 4), rollouts, seed=3) for rollouts in (6000, 4))
+    notes = report(few).notes
+    assert any(note.startswith("too few rollouts to compare ") and "time, steps" in note for note in notes)
+    assert not any("too few" in note for note in report(found).notes)
+    for runs, said in (
+        ((6000, 0), "100 % of runs, behind in 0 %."),
+        ((5999, 1), "> 99.9 % of runs, behind in < 0.1 %."),
+    ):
+        assert headline(replace(found, ahead=runs[0], behind=runs[1])).endswith(f"; B is ahead in {said}")
     for one, seen in ((found, ""), (few, "No difference seen: ")):
         vars(one)["exact_difference"] = lambda figure: None
         said = headline(one)
         assert said.startswith(f"{seen}B (4 robots) visits ") and "95 %" not in said
         assert re.search(r"on average \(B - A: -?[\d.]+ \.\. [\d.]+, confidence 0\.95\); B is ahead in ", said)
-
-
-def test_rollouts_that_are_too_few_to_tell_are_said_to_be() -> None:
-    choices = RolloutChoices(rollouts=4, seed=3)
-    few = report(compared((3, 4), choices)).notes
-    assert any(note.startswith("too few rollouts to compare ") and "time, steps" in note for note in few)
-    many = report(compared((3, 4), RolloutChoices(rollouts=6000, seed=3))).notes
-    assert not any("too few" in note for note in many)

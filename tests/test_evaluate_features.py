@@ -21,7 +21,7 @@ from test_record import decoded
 import mrac_jax as mrac
 from analysis.estimators.racing import MOST_MAPS, sample_with_known_hazards
 from analysis.evaluation.evaluate import Evaluation
-from analysis.evaluation.figures import BEFORE, BEYOND, TO_DO, rest_of
+from analysis.evaluation.figures import BEFORE, BEYOND, TO_DO, Rest, rest_of
 from analysis.evaluation.layers import run_of, runs
 from analysis.evaluation.outputs.information import Knowledge, entropy_of
 from analysis.evaluation.report import remainder_text, report
@@ -35,6 +35,7 @@ from analysis.report.rendering import figure_of, page_of
 from analysis.report.result import print_report
 from analysis.sampling import RolloutChoices
 from analysis.theory.verdicts import longest_run
+from analysis.utils.tables import as_text
 from planner.errors import InputError, UsageError
 from planner.formatting import percent
 from planner.json_objects import as_json
@@ -61,21 +62,18 @@ def test_the_open_loop_is_exact_on_each_map() -> None:
     world = BASE.with_maps(MAPS)
     plan = mrac.plan(world, 2)
     answer = mrac.evaluate(world, plan, loop="open", **QUIET)
-    said = json.loads(json.dumps(answer.to_json()))
-    play = open_loop(plan, world)
+    said, play = json.loads(json.dumps(answer.to_json())), open_loop(plan, world)
     means = np.sort([expected(play, one_of([one.ravel()]))[0] / answer.tally.accessible for one in MAPS])
-    doubt = said["map_variance"]
+    doubt, cells, visited = said["map_variance"], np.arange(9) / 8, answer.tally.visited
     assert (doubt["maps"], doubt["rollouts"]) == (3, 0)
-    np.testing.assert_allclose(doubt["mean_of_means"], means.mean(), rtol=1e-9)
-    np.testing.assert_allclose(list(doubt["quantiles"].values()), means, rtol=1e-9)
-    assert abs(answer.tally.visited @ np.arange(9) / 4096 - 8 * means.mean()) < 5 * 8 / np.sqrt(4096)
+    told = [doubt["mean_of_means"], *doubt["quantiles"].values()]
+    np.testing.assert_allclose(told, [means.mean(), *means], rtol=1e-9)
+    mean = visited @ cells / 4096
+    assert abs(mean - means.mean()) < 5 / np.sqrt(4096)
     assert said["bounds"]["ideal_team"] is said["bounds"]["theorem3"]["visited"]["travel_set"] is None
-    assert said["verdicts"] == {}
     total = doubt["sd"]["maps"] ** 2 + doubt["sd"]["luck"] ** 2
-    cells = np.arange(9) / 8
-    mean = answer.tally.visited @ cells / 4096
-    np.testing.assert_allclose(total, answer.tally.visited @ (cells - mean) ** 2 / 4096, rtol=1e-3)
-    assert figure_of(report(answer), "map_variance.png").axes
+    np.testing.assert_allclose(total, visited @ (cells - mean) ** 2 / 4096, rtol=1e-3)
+    assert said["verdicts"] == {} and figure_of(report(answer), "map_variance.png").axes
 
 
 ROW = World.create([[0.0, 0.1, 0.0, 0.3, 0.0, 0.0]])
@@ -146,33 +144,46 @@ def test_the_maps_means_scatter_as_the_maps_do() -> None:
     assert drawn.parts.between.ci95[0] < doubtful("level")[1][0] < drawn.parts.between.ci95[1]
 
 
-def test_what_is_not_known_is_null_and_said(capsys: pytest.CaptureFixture[str]) -> None:
-    from rich.console import Console
-
+def test_what_is_not_known_is_null_and_said() -> None:
     mines = BASE.with_latent_hazard("consumed", np.nan_to_num(BASE.threat), 0.9)
     answer = mrac.evaluate(mines, 2, loop="open", **QUIET)
     said = answer.to_json()
-    assert set(said["exact"]["open_loop"].values()) == {None}
-    assert "map_variance" not in said
+    assert set(said["exact"]["open_loop"].values()) == {None} and "map_variance" not in said
     assert answer.losses.ci95[0] < answer.losses.ci95[1]
-    print_report(report(answer, theory=True), Console(width=120))
-    printed = capsys.readouterr().out
-    assert "nan" not in printed
-    assert "assume one known map" in printed
+    printed = as_text(lambda console: print_report(report(answer, theory=True), console), 120)
+    assert "nan" not in printed and "assume one known map" in printed
 
 
-@pytest.mark.parametrize("refused", ["check", "size", "starts", "clear", "threat_scale"])
-def test_what_presumes_one_known_map_is_refused(refused: str) -> None:
-    world = BASE.with_spread("lognormal", 0.3)
-    ask = {
-        "check": lambda: mrac.check(world, 1),
-        "size": lambda: mrac.size(world, target=0.5),
-        "starts": lambda: mrac.starts(world, 1),
-        "clear": lambda: mrac.threats(world, 1, remove=1),
-        "threat_scale": lambda: mrac.evaluate(world, 1, threat_scale=[2.0], **QUIET),
-    }
-    with pytest.raises(InputError, match="one known map"):
-        ask[refused]()
+MOVERS: list[dict[str, Any]] = [
+    {"walk": 0.5, "h": 0.1, "count": 2},
+    {"patrol": [[0, 0], [0, 1], [1, 1], [1, 0]], "h": 0.3, "start": [1, 1]},
+]
+GROUND = World.create([[0, 0, 0, 0.1, 0], [0, 0, np.nan, 0, 0], [0, 0.1, 0, 0, 0]])
+MOVING = GROUND.with_moving_threats(MOVERS)
+DAY = np.array([[0, 0, 0.2, 0, 0], [0, 0, np.nan, 0, 0], [0, 0.2, 0, 0, 0]])
+NIGHT = np.array([[0, 0.3, 0, 0, 0], [0, 0, np.nan, 0.3, 0], [0, 0, 0, 0.3, 0]])
+PHASES = World.create(DAY).with_phases([(3, NIGHT), (6, DAY)])
+PRESUMING: dict[str, Callable[[World], Any]] = {
+    "check": lambda world: mrac.check(world, 2),
+    "size": lambda world: mrac.size(world, target=0.9),
+    "starts": lambda world: mrac.starts(world, robots=2),
+    "clear": lambda world: mrac.threats(world, remove=1, robots=2),
+    "threat_scale": lambda world: mrac.evaluate(world, 2, threat_scale=(0.5,)),
+    "drive": lambda world: mrac.drive(world, 2).outlook(),
+}
+UNKNOWN = {
+    "one known map": BASE.with_spread("lognormal", 0.3),
+    r"here: moving threats: .*; leave `moving_threats` out": MOVING,
+    r"here: threats that change at step 3, 6; .*; leave `phases` out": PHASES,
+}
+
+
+@pytest.mark.parametrize("ask", PRESUMING)
+@pytest.mark.parametrize("said", UNKNOWN)
+def test_what_presumes_one_known_map_of_threats_that_stay_is_refused(ask: str, said: str) -> None:
+    if (ask, said) != ("drive", "one known map"):
+        with pytest.raises(InputError, match=said):
+            PRESUMING[ask](UNKNOWN[said])
 
 
 @pytest.mark.parametrize("asked", [{"value": True}, {"threat_scale": [2.0]}, {}])
@@ -219,30 +230,24 @@ def test_each_team_is_what_it_is_by_itself(answer: Evaluation) -> None:
     assert data["price_of_not_knowing"]["mean"] == price.mean and data["curve"][-1]["range"] == "inf"
     assert data["value_of_sensing"]["mean"] == pytest.approx((alone[2] - alone[0]).mean())
     assert [(step["from"], step["to"]) for step in data["steps"]] == [(1, 2), (2, 3)]
-    assert [step["gain"]["mean"] for step in data["steps"]] == pytest.approx(
-        [(alone[2] - alone[1]).mean(), (alone[3] - alone[2]).mean()]
-    )
+    gains = [(alone[far + 1] - alone[far]).mean() for far in (1, 2)]
+    assert [step["gain"]["mean"] for step in data["steps"]] == pytest.approx(gains)
     assert data["rollouts"] == COUNT and data["curve"][-1]["behind"]["mean"] == 0
 
 
-def test_one_robot_that_learns_may_take_longer_than_its_plan() -> None:
-    world = TOLD.with_starts([[0, 0]]).with_prior_map(0.04, sensor_range=1)
-    plan = mrac.plan(world)
-    longest = make_engine(plan, world, Rolling("closed")).results(0, COUNT).time.max()
-    assert plan.time < longest <= longest_run(world, plan, "closed")
-
-
 def test_what_one_robot_that_learns_covers_is_not_its_plan_s() -> None:
+    """And it may take longer."""
     world = TOLD.with_starts([[0, 0]]).with_prior_map(0.04, sensor_range=1)
     plan, blind = mrac.plan(world), DARK.with_starts([[0, 0]]).with_sensor_range(0)
-    found = mrac.evaluate(world, plan, exact="never", rollouts=COUNT, advice=False, band=False)
+    results, quiet = make_engine(plan, world, Rolling("closed")).results(0, COUNT), {"advice": False, "band": False}
+    assert plan.time < results.time.max() <= longest_run(world, plan, "closed")
+    found = mrac.evaluate(world, plan, exact="never", rollouts=COUNT, **quiet)
     assert found.exact.visited is None and found.exact.time is None
-    assert found.visited.mean * found.visited.covered.cells == pytest.approx(visited(world, plan, COUNT).mean())
-    tree = mrac.evaluate(world, plan, rollouts=COUNT, advice=False, band=False).exact.visited
-    by_plan = mrac.evaluate(blind, rollouts=COUNT, advice=False, band=False).exact.visited
-    assert tree is not None and by_plan is not None and tree.mean > by_plan.mean + 0.03
+    assert found.visited.mean * found.visited.covered.cells == pytest.approx(results.visited.mean())
+    ways = ((world, plan), (blind, None))
+    tree, by_plan = (mrac.evaluate(*way, rollouts=COUNT, **quiet).exact.visited for way in ways)
+    assert tree.mean > by_plan.mean + 0.03
     both = mrac.compare((world, plan), (blind, mrac.plan(blind)), rollouts=COUNT)
-    assert both.a.exact is not None and both.b.exact is not None
     assert (both.a.exact[0], both.b.exact[0]) == pytest.approx((tree.cells, by_plan.cells))
 
 
@@ -263,26 +268,21 @@ def test_a_start_that_is_falsely_believed_an_obstacle(tmp_path: Path) -> None:
 
 def test_small_teams_are_known_exactly() -> None:
     found = mrac.evaluate(DARK, rollouts=2000, advice=False, band=False).outputs["knowledge"]
-    assert isinstance(found, Knowledge) and found.behind == "exact" and found.no_sensor is not None
-    worth, cells = found.learning.ahead(found.no_sensor), found.known_map.found.largest("visited")
-    blind = DARK.with_sensor_range(0)
-    sampled = [visited(world, mrac.plan(world), 20_000) / cells for world in (DARK, blind)]
-    assert worth.half_width == 0
-    assert abs(worth.mean - (sampled[0] - sampled[1]).mean()) < 5 * (sampled[0] - sampled[1]).std() / 20_000**0.5
+    gain, cells = found.learning.ahead(found.no_sensor), found.known_map.found.largest("visited")
+    mine, blind = (visited(world, mrac.plan(world), 20_000) / cells for world in (DARK, DARK.with_sensor_range(0)))
+    assert found.behind == "exact" and gain.half_width == 0
+    assert abs(gain.mean - (mine - blind).mean()) < 5 * (mine - blind).std() / 20_000**0.5
 
 
 def test_where_the_map_is_drawn_who_is_told_plans_on_each() -> None:
     threat = np.nan_to_num(TOLD.threat)
     maps = [np.where(TOLD.free, np.clip(threat * scale, 0, 0.9), np.nan) for scale in (0.1, 3.0)]
     world = TOLD.with_maps(maps).with_sensor_range(1)
-    found = mrac.evaluate(world, rollouts=COUNT, advice=False, band=False).outputs["knowledge"]
-    assert isinstance(found, Knowledge)
-    rows, by_map = rows_met(world.uncertainty, 0, np.arange(COUNT))[:, 0], []  # type: ignore[arg-type]
-    for row in range(2):
-        one = replace(TOLD, threat=world.uncertainty.threat_at(row))  # type: ignore[union-attr]
-        by_map.append(visited(one, mrac.plan(one), COUNT))
-    mine = np.where(rows == 0, *by_map)
-    assert found.known_map.coverage.mean * found.known_map.found.largest("visited") == pytest.approx(mine.mean())
+    told = mrac.evaluate(world, rollouts=COUNT, advice=False, band=False).outputs["knowledge"].known_map
+    each = [replace(TOLD, threat=world.uncertainty.threat_at(row)) for row in range(2)]
+    rows = rows_met(world.uncertainty, 0, np.arange(COUNT))[:, 0]
+    by_map = [visited(one, mrac.plan(one), COUNT) for one in each]
+    assert told.coverage.mean * told.found.largest("visited") == pytest.approx(np.where(rows == 0, *by_map).mean())
 
 
 def test_who_sees_everything_of_a_drawn_map_is_not_who_is_told_it() -> None:
@@ -291,8 +291,7 @@ def test_who_sees_everything_of_a_drawn_map_is_not_who_is_told_it() -> None:
     maps = [np.where(TOLD.free, one, np.nan) for one in (threat, threat[::-1])]
     answer = mrac.evaluate(TOLD.with_maps(maps).with_sensor_range(inf), rollouts=COUNT, advice=False, band=False)
     found = answer.outputs["knowledge"]
-    assert isinstance(found, Knowledge) and [team.range for team in found.teams] == [0, inf, inf]
-    assert found.learning is not found.known_map
+    assert [team.range for team in found.teams] == [0, inf, inf] and found.learning is not found.known_map
     assert found.learning.coverage.mean == pytest.approx(answer.figures.visited.mean.mean / answer.cells["accessible"])
     assert found.known_map.ahead(found.learning).mean != 0
 
@@ -302,13 +301,11 @@ def test_of_many_maps_the_first_ones_are_planned_on() -> None:
     maps = [np.where(TOLD.free, threat * (0.5 + number / 200), np.nan) for number in range(MOST_MAPS + 30)]
     world = TOLD.with_maps(maps).with_sensor_range(1)
     found = mrac.evaluate(world, rollouts=300, advice=False, band=False).outputs["knowledge"]
-    assert isinstance(found, Knowledge)
-    rows = rows_met(world.uncertainty, 0, np.arange(300))[:, 0]  # type: ignore[arg-type]
-    first = list(dict.fromkeys(rows.tolist()))[:MOST_MAPS]
-    kept = np.isin(rows, first)
+    rows = rows_met(world.uncertainty, 0, np.arange(300))[:, 0]
+    kept = np.isin(rows, first := list(dict.fromkeys(rows.tolist()))[:MOST_MAPS])
     assert len(first) == MOST_MAPS and found.known_map.found.rollouts == int(kept.sum()) < 300
-    mine = visited(world, mrac.plan(world), 300)[kept]
-    assert found.learning.coverage.mean * found.known_map.found.largest("visited") == pytest.approx(mine.mean())
+    mine = visited(world, mrac.plan(world), 300)[kept].mean()
+    assert found.learning.coverage.mean * found.known_map.found.largest("visited") == pytest.approx(mine)
 
 
 def test_fog_is_what_nobody_has_seen(answer: Evaluation) -> None:
@@ -331,16 +328,10 @@ def test_fog_is_what_nobody_has_seen(answer: Evaluation) -> None:
 
 def test_words_and_page(answer: Evaluation, tmp_path: Path) -> None:
     answer.save(tmp_path)
-    page, text = (tmp_path / "index.html").read_text(), (tmp_path / "evaluation.txt").read_text()
-    page = check_page_is_sound(page).text
-    for words in (
-        "With a known map: ",
-        "Without a sensor: ",
-        "known map",
-        "robots see 2 cells far",
-        "Gain by sensor range",
-    ):
-        assert words in text and words in page
+    text = (tmp_path / "evaluation.txt").read_text()
+    page = check_page_is_sound((tmp_path / "index.html").read_text()).text
+    words = ("With a known map: ", "Without a sensor: ", "known map", "robots see 2 cells far", "Gain by sensor range")
+    assert all(said in text and said in page for said in words)
     assert (tmp_path / "believed.png").exists() and (tmp_path / "sense.png").exists()
     assert "Theorem 3" not in text and "Paths: the plan" not in page
 
@@ -395,12 +386,9 @@ def test_three_teams_on_the_same_luck_and_what_is_known_in_the_end(tmp_path):
 def test_sure_stops_are_told_too_and_consumed_ones_vanish():
     for kind in ("persistent", "consumed"):
         world = SITE.with_latent_hazard(kind, Q, 1.0, learn=True)
-        plan = mrac.plan(world, 2)
-        told = sample_with_known_hazards(
-            world, plan, mrac.evaluate(world, plan, rollouts=50, **QUIET_EXPERIENCE).choices, 20
-        )
-        assert told.rollouts == 20
-        assert told.tally.visited @ np.arange(len(told.tally.visited)) / 20 > 10
+        answer = mrac.evaluate(world, 2, rollouts=50, **QUIET_EXPERIENCE)
+        told = sample_with_known_hazards(world, answer.plan, answer.choices, 20)
+        assert told.rollouts == 20 and told.column("visited").mean() > 10
 
 
 def test_who_has_nothing_to_learn_is_told_and_blind_alike():
@@ -433,35 +421,14 @@ def test_others_have_no_such_figure():
 
 # What is answered where threats move: evaluate, its page and JSON, recordings, and what refuses in words.
 
-PRESUME_THREATS_THAT_STAY: list[Callable[[World], Any]] = [
-    lambda world: mrac.check(world, 2),
-    lambda world: mrac.size(world, target=0.9),
-    lambda world: mrac.starts(world, robots=2),
-    lambda world: mrac.threats(world, remove=1, robots=2),
-    lambda world: mrac.evaluate(world, 2, threat_scale=(0.5,)),
-    lambda world: mrac.drive(world, 2).outlook(),
-]
-"""What refuses threats over time."""
-
-MOVERS: list[dict[str, Any]] = [
-    {"walk": 0.5, "h": 0.1, "count": 2},
-    {"patrol": [[0, 0], [0, 1], [1, 1], [1, 0]], "h": 0.3, "start": [1, 1]},
-]
-GROUND = World.create([[0, 0, 0, 0.1, 0], [0, 0, np.nan, 0, 0], [0, 0.1, 0, 0, 0]])
-
 
 def notes_of(answer: Any) -> list[str]:
     said = report(answer)
     return [*said.findings, *said.last, *(note for part in said.parts for note in part.notes)]
 
 
-@pytest.fixture(scope="module")
-def world() -> World:
-    return GROUND.with_moving_threats(MOVERS)
-
-
-def test_one_robot_is_known_exactly_and_rollouts_agree(world: World) -> None:
-    answer = mrac.evaluate(world, 1, rollouts=20_000, seed=3)
+def test_one_robot_is_known_exactly_and_rollouts_agree() -> None:
+    answer = mrac.evaluate(MOVING, 1, rollouts=20_000, seed=3)
     assert answer.is_exact
     sampled, exact = answer.figures.visited.mean, answer.closed_form
     assert abs(sampled.mean - exact.visited) < 5 * sampled.se
@@ -477,17 +444,17 @@ def test_a_robot_that_waits_before_it_gives_up_is_still_met() -> None:
     plan = mrac.plan(world, 1, starts=[[0, 0]], range=1)
     assert (plan.makespan, plan.time) == (1, 3)
     answer = mrac.evaluate(world, plan, rollouts=20_000, seed=1, advice=False)
-    exact, tally = answer.to_json()["exact"], answer.tally
-    assert answer.to_json()["losses"]["exact"] == pytest.approx(0.65625)
-    assert exact["alive"] == pytest.approx(0.34375) and exact["time"] == pytest.approx(2)
-    assert exact["open_loop"]["visited"] == pytest.approx(1.875)
+    said, tally = answer.to_json(), answer.tally
+    exact = said["exact"]
+    found = said["losses"]["exact"], exact["alive"], exact["time"], exact["open_loop"]["visited"]
+    assert found == pytest.approx((0.65625, 0.34375, 2, 1.875))
     assert abs(tally.alive[1] / 20_000 - 0.34375) < 5 * np.sqrt(0.34375 * 0.65625 / 20_000)
     assert abs(tally.time @ np.arange(len(tally.time)) / 20_000 - 2) < 5 * 1.03 / np.sqrt(20_000)
 
 
-def test_what_is_known_of_one_robot_is_what_is_said(world: World) -> None:
+def test_what_is_known_of_one_robot_is_what_is_said() -> None:
     """Losses, chances and quantiles of a robot alone are the closed form's, in words, tables and JSON."""
-    answer = mrac.evaluate(world, 1, rollouts=500, seed=3, advice=False)
+    answer = mrac.evaluate(MOVING, 1, rollouts=500, seed=3, advice=False)
     exact, told, shown = answer.closed_form, answer.to_json(), answer.shown
     lost = exact.expected_losses
     assert (answer.losses.mean, answer.losses.half_width) == (pytest.approx(lost), 0)
@@ -501,65 +468,49 @@ def test_what_is_known_of_one_robot_is_what_is_said(world: World) -> None:
     assert all(abs(sampled.chance(n).mean - at_least[n - 1]) < 5 * np.sqrt(0.25 / 500) for n in (3, 6, 9, 12))
 
 
-def test_what_is_known_by_a_step_is_what_is_said(world: World) -> None:
-    answer = mrac.evaluate(world, 1, rollouts=200, deadline=4, advice=False)
+def test_what_is_known_by_a_step_is_what_is_said() -> None:
+    answer = mrac.evaluate(MOVING, 1, rollouts=200, deadline=4, advice=False)
     found, exact = as_json(answer.outputs["deadline"]), answer.closed_form
     assert found["visited"]["mean"] * 14 == pytest.approx(exact.by_deadline(4)[0]) and found["visited"]["se"] == 0
     assert found["losses"]["mean"] == pytest.approx(exact.losses_by(4))
     by_step = f"By step 4: {percent(exact.by_deadline(4)[0] / 14, 2)} (exact) visited"
     assert any(note.startswith(by_step) for note in notes_of(answer))
-    whole = mrac.evaluate(world, 1, rollouts=200, deadline=10**4, advice=False)
+    whole = mrac.evaluate(MOVING, 1, rollouts=200, deadline=10**4, advice=False)
     assert not any("By step" in note for note in notes_of(whole))
 
 
-def test_one_robot_on_a_map_that_is_too_large_is_sampled(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_robot_on_a_map_that_is_too_large_is_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("analysis.theory.exact.MOST_WORK", 20)
-    answer = mrac.evaluate(world, 1, rollouts=50)
+    answer = mrac.evaluate(MOVING, 1, rollouts=50)
     assert not answer.is_exact and answer.to_json()["exact"]["open_loop"]["visited"] is None
 
 
-def test_a_team_is_sampled_and_said_to_be_among_movers(world: World) -> None:
-    answer = mrac.evaluate(world, 2, rollouts=400)
-    assert not answer.is_exact
-    assert "2 walk and 1 patrols, and destroy a robot that they meet with probability 0.1 to 0.3" in " ".join(
-        report(answer).last
-    )
+def test_a_team_is_sampled_and_said_to_be_among_movers() -> None:
+    answer = mrac.evaluate(MOVING, 2, rollouts=400)
+    met = "2 walk and 1 patrols, and destroy a robot that they meet with probability 0.1 to 0.3"
+    assert not answer.is_exact and met in " ".join(report(answer).last)
     assert "movers" not in mrac.evaluate(GROUND, 2, rollouts=50).to_json()
 
 
-def test_a_page_plays_the_movers_of_its_runs(world: World) -> None:
-    answer = mrac.evaluate(world, 2, rollouts=60)
+def test_a_page_plays_the_movers_of_its_runs() -> None:
+    answer = mrac.evaluate(MOVING, 2, rollouts=60)
     page = check_page_is_sound(page_of(report(answer), "mrac-jax evaluate", {}, ()))
     plan, *rolled = next(found for found in page.data() if "runs" in found)["runs"]
     assert "movers" not in plan and len(rolled) == 3
     for run in rolled:
         moving = run["movers"] | {"time": run["time"]}
-        ways = [threat_paths(world, 0, one, run["time"] + 1) for one in range(60)]
+        ways = [threat_paths(MOVING, 0, one, run["time"] + 1) for one in range(60)]
         assert any(np.array_equal(unpacked(moving, 5), way) for way in ways)
 
 
-def test_a_recording_shows_where_movers_are(world: World, tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    mrac.record(world, 2, path, ids=[4], seed=2)
-    by_topic = decoded(path)
-    steps = [step for _, step in by_topic["/rollout/step"]]
-    expected = world.to_xy(threat_paths(world, 2, 4, len(steps)))
-    scenes = [scene for _, scene in by_topic["/movers/markers"]]
+def test_a_recording_shows_where_movers_are(tmp_path: Path) -> None:
+    for name, ground in (("a.mcap", MOVING), ("b.mcap", GROUND)):
+        mrac.record(ground, 2, tmp_path / name, ids=[4], seed=2)
+    by_topic = decoded(tmp_path / "a.mcap")
+    steps, scenes = len(by_topic["/rollout/step"]), [scene for _, scene in by_topic["/movers/markers"]]
     found = [[(p.x, p.y) for p in (e.cubes[0].pose.position for e in scene.entities)] for scene in scenes]
-    np.testing.assert_allclose(found, expected)
-    assert len(by_topic["/movers/points"]) == len(steps)
-    assert "/movers/markers" not in decoded_topics(GROUND, tmp_path / "b.mcap")
-
-
-def decoded_topics(world: World, path: Path) -> set[str]:
-    mrac.record(world, 2, path, ids=[4], seed=2)
-    return set(decoded(path))
-
-
-@pytest.mark.parametrize("ask", PRESUME_THREATS_THAT_STAY)
-def test_what_presumes_threats_that_stand_says_so(ask: Callable[[World], Any], world: World) -> None:
-    with pytest.raises(InputError, match=r"here: moving threats: .*; leave `moving_threats` out"):
-        ask(world)
+    np.testing.assert_allclose(found, MOVING.to_xy(threat_paths(MOVING, 2, 4, steps)))
+    assert len(by_topic["/movers/points"]) == steps and "/movers/markers" not in decoded(tmp_path / "b.mcap")
 
 
 def test_a_scenario_says_what_robots_plan_on_and_not_that_all_survive(tmp_path: Path) -> None:
@@ -574,39 +525,29 @@ def test_a_scenario_says_what_robots_plan_on_and_not_that_all_survive(tmp_path: 
 
 # What is said of threats that change with time (docs/spec.md, section 16): answers, pages, recordings, sweeps.
 
-DAY = np.array([[0, 0, 0.2, 0, 0], [0, 0, np.nan, 0, 0], [0, 0.2, 0, 0, 0]])
-NIGHT = np.array([[0, 0.3, 0, 0, 0], [0, 0, np.nan, 0.3, 0], [0, 0, 0, 0.3, 0]])
 
-
-@pytest.fixture(scope="module")
-def world_phases() -> World:
-    return World.create(DAY).with_phases([(3, NIGHT), (6, DAY)])
-
-
-def test_teams_are_known_exactly_and_rollouts_agree(world_phases: World) -> None:
+def test_teams_are_known_exactly_and_rollouts_agree() -> None:
+    how = {"rollouts": 20_000, "seed": 3, "advice": False}
     for robots in (1, 2):
-        answer = mrac.evaluate(world_phases, robots, rollouts=20_000, seed=3, advice=False)
-        sampled = mrac.evaluate(world_phases, robots, rollouts=20_000, seed=3, exact="never", advice=False)
-        exact = answer.to_json()["exact"]["closed_loop"]
-        assert exact["how"] == "tree"
+        answer = mrac.evaluate(PHASES, robots, **how)
+        visited, told = mrac.evaluate(PHASES, robots, exact="never", **how).tally.visited, answer.to_json()
+        exact = told["exact"]["closed_loop"]
         if robots == 1:  # whose closed loop is its nominal path, until it is stopped
             assert exact["visited"] == pytest.approx(answer.closed_form.visited, rel=1e-9)
-        found = sampled.tally.visited @ np.arange(len(sampled.tally.visited)) / 20_000
-        assert abs(found - exact["visited"]) < 5 * 3 / 20_000**0.5
-        told = answer.to_json()
-        assert told["phases"] == {"from": [0, 3, 6], "plan_on": "now"} and told["bounds"]["eq1"] == [None] * robots
-        assert "threats that change at step 3, 6; all robots know of a change as it comes" in " ".join(
-            report(answer).last
-        )
+        assert abs(visited @ np.arange(len(visited)) / 20_000 - exact["visited"]) < 5 * 3 / 20_000**0.5
+        assert exact["how"] == "tree" and told["bounds"]["eq1"] == [None] * robots
+        assert told["phases"] == {"from": [0, 3, 6], "plan_on": "now"}
+        said = "threats that change at step 3, 6; all robots know of a change as it comes"
+        assert said in " ".join(report(answer).last)
     shown = [(layer.name, layer.since) for layer in threats(answer)]
     assert shown == [("Threat", 0), ("Threat from step 3", 3), ("Threat from step 6", 6)]
     assert "phases" not in mrac.evaluate(World.create(DAY), 1, rollouts=10).to_json()
 
 
 @pytest.mark.parametrize("loop", ["closed", "open"])
-def test_a_recording_shows_the_threats_of_its_phase(world_phases: World, tmp_path: Path, loop: Any) -> None:
+def test_a_recording_shows_the_threats_of_its_phase(tmp_path: Path, loop: Any) -> None:
     path = tmp_path / "a.mcap"
-    mrac.record(world_phases, 2, path, ids=[4], seed=2, loop=loop)
+    mrac.record(PHASES, 2, path, ids=[4], seed=2, loop=loop)
     by_topic = decoded(path)
     shown = [np.frombuffer(grid.data, dtype="<f4").reshape(3, 5)[::-1] for _, grid in by_topic["/map/threat"]]
     begun = [begin for begin in (0, 3, 6) if begin < len(by_topic["/rollout/step"])]
@@ -615,21 +556,15 @@ def test_a_recording_shows_the_threats_of_its_phase(world_phases: World, tmp_pat
     assert len(begun) > 1
 
 
-def test_so_does_a_picture(world_phases: World) -> None:
-    plan = mrac.plan(world_phases, robots=2)
-    (trace,) = trace_rollouts(compile_closed_loop(plan, world_phases), 0, [1])
+def test_so_does_a_picture() -> None:
+    plan = mrac.plan(PHASES, robots=2)
+    (trace,) = trace_rollouts(compile_closed_loop(plan, PHASES), 0, [1])
     with picture_style():
-        picture, shown = RolloutPicture(trace, Stage(world_phases, plan, "closed", 0), 60), []
+        picture, shown = RolloutPicture(trace, Stage(PHASES, plan, "closed", 0), 60), []
         for step in (0, 2, 3):
             picture.show(step)
             shown.append(np.array(picture.figure.axes[0].images[0].get_array()))
     assert np.array_equal(shown[0], shown[1]) and not np.array_equal(shown[1], shown[2])
-
-
-@pytest.mark.parametrize("ask", PRESUME_THREATS_THAT_STAY)
-def test_what_presumes_threats_that_stay_says_so(ask: Callable[[World], Any], world_phases: World) -> None:
-    with pytest.raises(InputError, match=r"here: threats that change at step 3, 6; .*; leave `phases` out"):
-        ask(world_phases)
 
 
 def test_a_sweep_crosses_what_robots_plan_on(tmp_path: Path) -> None:
@@ -675,67 +610,59 @@ def moves_to(world: World, start: tuple[int, int]) -> np.ndarray:
 
 @pytest.mark.parametrize("moves", [(1, 1), (3, 6), (12, 2)])
 def test_what_is_too_far_is_further_than_every_robot_has_moves_for(moves: tuple[int, int]) -> None:
-    plan = mrac.plan(WORLD, range=moves)
-    rest = rest_of(WORLD, plan)
-    assert rest is not None and rest.step is None and rest.title == "Cells within range"
-    near = [moves_to(WORLD, start) <= most for start, most in zip(((4, 0), (0, 0)), moves, strict=True)]
-    accessible = WORLD.accessible(plan.starts)
-    np.testing.assert_array_equal(rest.kinds == BEYOND, accessible & ~near[0] & ~near[1])
-    answer = mrac.evaluate(WORLD, plan, **QUIET_REST)  # type: ignore[arg-type]
-    assert not answer.expected.visited_by_cell[(rest.kinds == BEYOND).ravel()].any()
-    said = list(remainder_text(answer, rest))
-    assert said[0].startswith(f"Too far for the moves of any robot: {int((rest.kinds == BEYOND).sum())} accessible")
+    rest, beyond, said, _ = told_beyond(moves, None)
+    assert rest.step is None and rest.title == "Cells within range"
+    assert said[0].startswith(f"Too far for the moves of any robot: {beyond} accessible")
     assert f", {rest.ended} of 2 robots use up their range" in said[1]
+
+
+def told_beyond(moves: tuple[int, int], to: str | tuple | None) -> tuple[Rest, int, list[str], Evaluation]:
+    """What robots of this range leave, cells too far for both (as a breadth-first search finds too), the sentences and
+    the evaluation. From such a cell the moves there and back are together too many for either robot.
+    """
+    starts, plan = ((4, 0), (0, 0)), mrac.plan(WORLD, range=moves, return_to=to)
+    bases = {"home": [[start] for start in starts], "nearest": [starts] * 2}.get(str(to), [to] * 2)
+    back = [np.min([moves_to(WORLD, base) for base in of], axis=0) if to else 0 for of in bases]
+    near = [moves_to(WORLD, start) + home <= most for start, home, most in zip(starts, back, moves, strict=True)]
+    rest, beyond = rest_of(WORLD, plan), WORLD.accessible(plan.starts) & ~near[0] & ~near[1]
+    np.testing.assert_array_equal(rest.kinds == BEYOND, beyond)
+    answer = mrac.evaluate(WORLD, plan, **QUIET_REST)
+    assert not answer.expected.visited_by_cell[beyond.ravel()].any()
+    return rest, int(beyond.sum()), list(remainder_text(answer, rest)), answer
 
 
 @pytest.mark.parametrize("moves", [(6, 14), (12, 9)])
 @pytest.mark.parametrize("to", ["home", "nearest", ((0, 2), (4, 8))])
 def test_of_robots_that_come_home_the_way_home_counts(moves: tuple[int, int], to: str | tuple) -> None:
-    """Moves there and back are together too many for either robot; in the words and the layer too."""
-    starts = ((4, 0), (0, 0))
-    plan = mrac.plan(WORLD, range=moves, return_to=to)
-    rest = rest_of(WORLD, plan)
-    assert rest is not None and rest.returns
-    of = {"home": [[start] for start in starts], "nearest": [starts] * 2}.get(str(to), [to] * 2)
-    back = [np.min([moves_to(WORLD, base) for base in bases], axis=0) for bases in of]
-    near = [moves_to(WORLD, start) + home <= most for start, home, most in zip(starts, back, moves, strict=True)]
-    beyond = WORLD.accessible(plan.starts) & ~near[0] & ~near[1]
-    np.testing.assert_array_equal(rest.kinds == BEYOND, beyond)
-    answer = mrac.evaluate(WORLD, plan, **QUIET_REST)  # type: ignore[arg-type]
-    assert not answer.expected.visited_by_cell[beyond.ravel()].any()
-    (said,) = remainder_text(answer, rest)
-    assert said.startswith(f"Too far for any robot to visit and return: {beyond.sum()} accessible cells (")
+    """In the words and the layer too."""
+    rest, beyond, (said,), answer = told_beyond(moves, to)
+    assert rest.returns
+    assert said.startswith(f"Too far for any robot to visit and return: {beyond} accessible cells (")
     assert answer.layers.to_do[0].about.endswith("violet: too far for any robot to visit and return.")
 
 
 def state(folder: Path) -> MissionState:
-    cells = "[[4, 0], [3, 0], [2, 0], [0, 0], [0, 1]]"
-    robots = '[{"cell": [2, 0]}, {"cell": [0, 1], "status": "dead"}]'
-    text = (
-        f'{{"format": "mrac-state", "version": 1, "world": {{"shape": [5, 9], "sha256": "{WORLD.sha256}"}}, "step": 7,'
-    )
-    (folder / "now.json").write_text(f'{text} "visited": {cells}, "robots": {robots}}}')
+    said = {"format": "mrac-state", "version": 1, "world": {"shape": [5, 9], "sha256": WORLD.sha256}, "step": 7}
+    said |= {"visited": [[4, 0], [3, 0], [2, 0], [0, 0], [0, 1]]}
+    said |= {"robots": [{"cell": [2, 0]}, {"cell": [0, 1], "status": "dead"}]}
+    (folder / "now.json").write_text(json.dumps(said))
     return load_state(folder / "now.json", WORLD)
 
 
 @pytest.mark.usefixtures("one_picture")
 def test_a_state_is_told_and_drawn_and_whole_missions_are_as_they_were(tmp_path: Path) -> None:
-    answer = mrac.evaluate(WORLD, state=state(tmp_path), **QUIET_REST)  # type: ignore[arg-type]
-    rest = rest_of(answer.world, answer.plan)
-    assert rest is not None and rest.title == "Resumed from step 7" and (rest.kinds != BEYOND).all()
+    answer = mrac.evaluate(WORLD, state=state(tmp_path), **QUIET_REST)
+    rest, cells = rest_of(answer.world, answer.plan), int(WORLD.accessible(WORLD.starts).sum())
+    assert rest.title == "Resumed from step 7" and (rest.kinds != BEYOND).all()
     assert np.flatnonzero(rest.kinds == BEFORE).tolist() == [0, 1, 18, 27, 36]
-    cells = int(WORLD.accessible(WORLD.starts).sum())
     left = answer.expected.visited_by_cell[(rest.kinds == TO_DO).ravel()].sum()
     (said,) = remainder_text(answer, rest)
-    assert (
-        said.startswith(f"Before step 7, where this plan resumes: 5 of {cells} accessible cells")
-        and "1 of 2 robots lost" in said
-    )
-    assert f"Of the {cells - 5} left {left:,.1f} are visited" in said
+    assert said.startswith(f"Before step 7, where this plan resumes: 5 of {cells} accessible cells")
+    assert "1 of 2 robots lost" in said and f"Of the {cells - 5} left {left:,.1f} are visited" in said
     answer.save(tmp_path / "out")
     page = Reader((tmp_path / "out" / "index.html").read_text()).text
     assert said in page and "rest.png" in page and (tmp_path / "out" / "rest.png").stat().st_size > 10_000
-    whole = mrac.evaluate(WORLD, 2, **QUIET_REST)  # type: ignore[arg-type]
+    whole = mrac.evaluate(WORLD, 2, **QUIET_REST)
     assert rest_of(WORLD, whole.plan) is None and "rest.png" not in report(whole).pictures
 
 

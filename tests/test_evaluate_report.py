@@ -4,73 +4,43 @@ from __future__ import annotations
 
 import html
 import re
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from conftest import FOLDER
 
 import mrac_jax as mrac
-from analysis.checking.check import check_input
 from analysis.checking.report import check_report
 from analysis.cli.app import run
+from analysis.evaluation import report
 from analysis.evaluation.evaluate import Evaluation, cut_off, evaluate
 from analysis.evaluation.figures import Chance, sampled_share
 from analysis.evaluation.outputs.over_time import BAND_LEAST, BAND_MOST, SHARE, STEPS, Band
-from analysis.evaluation.report import (
-    INTERVALS,
-    QUANTILES_NOTE,
-    assured_text,
-    cells_text,
-    completion_text,
-    gain_text,
-    headline,
-    losses_text,
-    return_text,
-)
+from analysis.evaluation.report import QUANTILES_NOTE, cells_text, completion_text, headline, losses_text, return_text
 from analysis.evaluation.report import report as evaluation_report
 from analysis.evaluation.tables import WORDS, answer_tables, formula_counts, formulas_text, over_time
 from analysis.page.charts import chart_html
 from analysis.report.result import print_report
 from analysis.sampling import RolloutChoices, make_roll_out
-from analysis.statistics.estimates import (
-    QUANTILES,
-    Estimate,
-    between,
-    digits_of,
-    exactly,
-    in_unit,
-    losses_sentence,
-    losses_shown,
-    proportion,
-    quantile,
-    robots_text,
-)
+from analysis.statistics import estimates
+from analysis.statistics.estimates import Estimate, exactly, losses_sentence, proportion, quantile, robots_text
 from analysis.sweeps.report import around as sweep_around
 from analysis.sweeps.report import percent as sweep_percent
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import Verdict, overall
 from analysis.utils.tables import as_text, plan_text, span_text, without_level
-from planner.formatting import (
-    UNPACED,
-    at_least_text,
-    ceiled,
-    chance,
-    counted,
-    duration,
-    floored,
-    inside,
-    percent,
-    share,
-)
+from planner import formatting
+from planner.formatting import UNPACED, ceiled, chance, counted, duration, floored, inside, percent, share
 from planner.make_plan import make_plan
 from planner.plan.plan import NO_MORE, Plan, RobotPlan
 from planner.plan.state import NO_CELLS, MissionState, RobotState
 from planner.settings import Settings
 from planner.simulator.codes import Outcome
 from planner.tally import Tally, tally_key
-from planner.world.start_rule import place_starts
 from planner.world.world import World, load_world_file
 
 # What an evaluation says in words: every share and mean follows from the tally, and none claims more than it.
@@ -78,19 +48,15 @@ from planner.world.world import World, load_world_file
 
 def evaluation_of(alive: list[int], threat: float = 0.3) -> Evaluation:
     """An evaluation whose rollouts left 0, 1, ... robots alive so many times."""
-    robots = len(alive) - 1
+    robots, runs = len(alive) - 1, sum(alive)
     world = World.create(np.full((3, max(3, robots)), threat))
-    plan = make_plan(world, place_starts(world, robots)[0])
+    plan = mrac.plan(world, robots)
     cells = int(world.accessible(plan.starts).sum())
     empty = Tally.empty(tally_key("test", "closed", 0), world.shape, robots, cells, plan.makespan)
-    runs = sum(alive)
-    visited, survived, time = empty.visited.copy(), empty.survived.copy(), empty.time.copy()
-    visited[cells] = survived[cells] = time[3] = runs
-    outcomes = empty.outcomes.copy()
-    outcomes[Outcome.COMPLETE] = runs
-    tally = replace(
-        empty, alive=np.array(alive), visited=visited, survived=survived, time=time, outcomes=outcomes, ids=((0, runs),)
-    )
+    counts = {name: getattr(empty, name).copy() for name in ("visited", "survived", "time", "outcomes")}
+    for name, value in {"visited": cells, "survived": cells, "time": 3, "outcomes": Outcome.COMPLETE}.items():
+        counts[name][value] = runs
+    tally = replace(empty, alive=np.array(alive), ids=((0, runs),), **counts)
     return Evaluation(world, plan, open_loop_exact(plan, world), "closed", "numba", 0, tally, 1.0, 0.0)
 
 
@@ -144,8 +110,10 @@ def test_the_headline_has_a_half_width_and_what_19_of_20_runs_reach(capsys: pyte
     assert " % in 19 of 20 runs), " in said
     check_one_meaning(said)
     shown_text = shown(answer, 200)
-    assert INTERVALS in shown_text and QUANTILES_NOTE in shown_text
-    assert re.search(r"covers [\d.]+ points ± [\d.]+ more than robots .* \([\d.]+ %, exact\)\.$", gain_text(answer))
+    assert report.INTERVALS in shown_text and QUANTILES_NOTE in shown_text
+    assert re.search(
+        r"covers [\d.]+ points ± [\d.]+ more than robots .* \([\d.]+ %, exact\)\.$", report.gain_text(answer)
+    )
     few = mrac.evaluate(world, 2, rollouts=20, exact="never", advice=False, band=False)
     assert "19 of 20" not in headline(few) and QUANTILES_NOTE not in shown(few, 200)
 
@@ -155,7 +123,7 @@ def test_what_19_of_20_runs_reach_is_rounded_downwards() -> None:
     for least, said in ((9, "100 %"), (8, "88.8 %"), (5, "55.5 %")):
         found = replace(whole)
         vars(found)["shown"] = replace(whole.shown, assured=least)
-        assert assured_text(found) == said and f"(at least {said} in 19 of 20 runs)" in headline(found)
+        assert report.assured_text(found) == said and f"(at least {said} in 19 of 20 runs)" in headline(found)
 
 
 def test_nothing_is_added_to_a_mean_that_every_run_reaches() -> None:
@@ -163,7 +131,7 @@ def test_nothing_is_added_to_a_mean_that_every_run_reaches() -> None:
     for world in ([[0, 0, 0, 0, 0.3]], [[0, 0], [np.nan, 0.2]]):
         answer = mrac.evaluate(mrac.load(world), 1, rollouts=500, advice=False, band=False)
         assert headline(answer).startswith("1 robot visits 100 % (exact) of the accessible cells on average, with 0.")
-        assert not {INTERVALS, QUANTILES_NOTE} & set(shown(answer, 500).splitlines())
+        assert not {report.INTERVALS, QUANTILES_NOTE} & set(shown(answer, 500).splitlines())
 
 
 def test_the_last_move_is_told_only_where_nobody_waits_for_news() -> None:
@@ -243,52 +211,6 @@ def test_a_share_has_no_more_digits_than_its_interval_bears() -> None:
                 assert 10.0 ** -(digits - 1) > 100 * proportion(count, of).half_width
 
 
-def test_means_are_never_rounded_to_none_or_all() -> None:
-    assert [robots_text(mean, 8) for mean in (0.0, 1e-9, 0.006, 4.0, 7.994, 7.9999, 8.0)] == [
-        f"{mean} of 8 robots" for mean in ("0", "< 0.01", "0.01", "4.00", "7.99", "> 7.99", "8")
-    ]
-    assert robots_text(0.999, 1) == "> 0.99 of 1 robot"
-
-
-def test_losses_in_a_table_are_figures_that_claim_neither_end() -> None:
-    shown = [
-        losses_shown(Estimate(mean, 0.001, ends), 8)
-        for mean, ends in (
-            (8.0, (7.981, 8.0)), (7.9996, (7.996, 8.0)), (0.0, (0.0, 0.0009)), (1.873, (1.868, 1.878)),
-            (2.5, (2.5, 2.5)),
-        )
-    ]  # fmt: skip
-    assert shown == [
-        ("8 of 8", "7.98 or more"), ("> 7.99 of 8", "7.99 or more"), ("0 of 8", "0.01 or fewer"),
-        ("1.87 of 8", "1.86 .. 1.88"), ("2.50 of 8", "exact"),
-    ]  # fmt: skip
-
-
-def test_what_was_never_seen_is_said_as_the_most_that_it_may_be() -> None:
-    assert Estimate(0.0, 0.0, (0.0, 0.0009)).describe(100, " %") == "0 % (0.1 or less, 95 %)"
-    assert Estimate(0.0, 0.1, (-0.2, 0.2)).describe() == "0.0 ± 0.2 (95 %)"
-    assert Estimate(-1e-17, 0.1, (-0.2, 0.2)).describe() == "0.0 ± 0.2 (95 %)", "not -0.0"
-    assert Estimate(0.0, 0.0, (0.0, 0.0)).describe() == "0.00 (exact)"
-
-
-def test_chances_in_a_table_have_the_digits_of_their_interval() -> None:
-    def chance_columns(chance: Estimate, runs: int) -> tuple[str, str]:
-        return Chance(**vars(chance), rollouts=runs).columns()
-
-    shown = {count: chance_columns(proportion(count, 1024), 1024) for count in (0, 3, 1024)}
-    assert shown == {0: ("0", "0.4 or less"), 3: ("0.3", "0.0 .. 0.9"), 1024: ("100", "99.6 or more")}
-    assert chance_columns(proportion(50_000, 100_000), 100_000) == ("50.0", "49.6 .. 50.4")
-    assert chance_columns(proportion(1, 1, certain=True), 1) == ("100", "exact")
-
-
-def test_an_interval_that_is_no_point_is_not_rounded_to_one() -> None:
-    assert between(7.9978, 7.9991) == "7.99 .. 8.00"
-    assert between(0.0, 0.0004) == "0.00 .. 0.01"
-    assert between(85.604, 85.756) == "85.60 .. 85.76"
-    assert between(8.0, 8.0) == "8.00 .. 8.00"
-    assert between(279.01, 279.04, 1) == "279.0 .. 279.1"
-
-
 def test_chances_in_words() -> None:
     known = evaluation_of([30, 10])
     for complete, said in ((40, "100"), (0, "0"), (10, "25")):
@@ -343,32 +265,13 @@ def test_a_plan_says_its_policy_and_whether_robots_come_home() -> None:
     assert f"chance that it {NO_MORE}" in list(table.columns[0].cells)
 
 
-def test_a_time_is_said_in_its_two_largest_units() -> None:
-    assert [duration(s) for s in (0.2, 59, 60, 125, 3600, 4830)] == [
-        "1 s",
-        "59 s",
-        "1 min",
-        "2 min 5 s",
-        "1 h",
-        "1 h 20 min",
-    ]
-
-
 def test_figures_have_the_digits_that_their_interval_allows() -> None:
-    for half, said in (
-        (0.00080, "85.7 % ± 0.1"),
-        (0.00024, "85.68 % ± 0.03"),
-        (0.003, "85.7 % ± 0.3"),
-        (0.007, "86 % ± 1"),
-    ):
-        found = Estimate(0.85678, half / 2, (0.85678 - half, 0.85678 + half))
-        assert found.describe(100, " %") == f"{said} (95 %)"
     for half in np.geomspace(1e-6, 30, 400):
-        digits = digits_of(half)
+        digits = estimates.digits_of(half)
         assert 0.5 * 10.0**-digits <= half * (1 + 1e-6) or digits == 0
         assert digits == 0 or 0.5 * 10.0 ** (1 - digits) > half * (1 - 1e-6), "one digit fewer would leave the interval"
         low, high = (0.5 - half, 0.5 + half)
-        mean, interval = Estimate(0.5, half, (low, high)).columns()
+        mean, interval = estimate(0.5, low, high, half).columns()
         ends = [float(end) for end in interval.split(" .. ")]
         assert abs(float(mean) - 0.5) <= half * (1 + 1e-6) + 0.5 * (digits == 0)
         assert ends[0] <= low + 1e-6 and high - 1e-6 <= ends[1], "rounded outwards"
@@ -406,45 +309,87 @@ def test_the_end_that_a_plan_names_is_that_of_its_rollouts() -> None:
 # --- one rule for shares, chances and robots lost ---
 
 
-def test_no_rounding_claims_an_end_that_is_not_reached() -> None:
-    assert [percent(x, 2) for x in (0, 1e-17, 4e-5, 0.5, 0.99995, 1 - 1e-9, 1)] == [
-        "0 %", "< 0.01 %", "< 0.01 %", "50.00 %", "> 99.99 %", "> 99.99 %", "100 %",
-    ]  # fmt: skip
-    lost = [inside(x, 8, 2) for x in (0, 1e-9, 0.006, 7.994, 7.996, 8)]
-    assert lost == ["0", "< 0.01", "0.01", "7.99", "> 7.99", "8"]
-    given = [chance(p) for p in (0.05, 0.9999, 0.99999994, 1.0, 2e-7)]
-    assert given == ["5 %", "99.99 %", "99.99999 %", "100 %", "2e-05 %"]
-    assert (chance(0.29, 12), chance(0.9999999, 12)) == ("29 %", "99.99999 %")
-    assert [floored(x) for x in (0.99999, 1, 0.5, 0.29)] == ["99.9 %", "100 %", "50.0 %", "29.0 %"], "bounds from below"
-    assert [ceiled(x) for x in (0.999951, 0.12341, 0.29)] == ["99.996 %", "12.35 %", "29.00 %"], "bounds from above"
-    assert [ceiled(x) for x in (1 - 1e-10, 1.0, 1 - 2e-8)] == ["100 %", "100 %", "99.999998 %"], "100 is whole"
-    assert (ceiled(0.999951, unit=""), chance(0.9999999, unit="")) == ("99.996", "99.99999"), "columns that say %"
-    assert [percent(x) for x in (-1e-17, -0.0)] == ["0 %", "0 %"], "sums lose so much; nothing is -0.0"
+def estimate(mean: float, low: float, high: float, se: float = 0.1) -> Estimate:
+    return Estimate(mean, se, (low, high))
 
 
-def test_an_exact_share_is_whole_only_where_it_is() -> None:
-    assert exactly(0.99995).describe(100, " %") == "> 99.99 % (exact)"
-    assert exactly(1.0).describe(100, " %") == "100 % (exact)" and exactly(0.0).columns(100, 100) == ("0", "exact")
-    assert exactly(3e-5).describe(100, " points") == "0.003 points (exact)", "what is known is not said to be nothing"
+TEXTS = {
+    "shares": ([percent(x, 2) for x in (0, 1e-17, 4e-5, 0.5, 0.99995, 1 - 1e-9, 1)],
+               ["0 %", "< 0.01 %", "< 0.01 %", "50.00 %", "> 99.99 %", "> 99.99 %", "100 %"]),
+    "sums lose so much; nothing is -0.0": ([percent(x) for x in (-1e-17, -0.0)], ["0 %", "0 %"]),
+    "figures": ([inside(x, 8, 2) for x in (0, 1e-9, 0.006, 7.994, 7.996, 8)],
+                ["0", "< 0.01", "0.01", "7.99", "> 7.99", "8"]),
+    "chances": ([chance(p) for p in (0.05, 0.9999, 0.99999994, 1.0, 2e-7)],
+                ["5 %", "99.99 %", "99.99999 %", "100 %", "2e-05 %"]),
+    "chances with digits": ([chance(0.29, 12), chance(0.9999999, 12)], ["29 %", "99.99999 %"]),
+    "columns that say %": ([ceiled(0.999951, unit=""), chance(0.9999999, unit="")], ["99.996", "99.99999"]),
+    "bounds from below": ([floored(x) for x in (0.99999, 1, 0.5, 0.29)], ["99.9 %", "100 %", "50.0 %", "29.0 %"]),
+    "bounds from above": ([ceiled(x) for x in (0.999951, 0.12341, 0.29)], ["99.996 %", "12.35 %", "29.00 %"]),
+    "100 is whole": ([ceiled(x) for x in (1 - 1e-10, 1.0, 1 - 2e-8)], ["100 %", "100 %", "99.999998 %"]),
+    "robots": ([robots_text(mean, 8) for mean in (0.0, 1e-9, 0.006, 4.0, 7.994, 7.9999, 8.0)],
+               [f"{mean} of 8 robots" for mean in ("0", "< 0.01", "0.01", "4.00", "7.99", "> 7.99", "8")]),
+    "one robot": ([robots_text(0.999, 1)], ["> 0.99 of 1 robot"]),
+    "losses in a table": (
+        [estimates.losses_shown(estimate(*one), 8)
+         for one in ((8, 7.981, 8), (7.9996, 7.996, 8), (0, 0, 0.0009), (1.873, 1.868, 1.878), (2.5, 2.5, 2.5))],
+        [("8 of 8", "7.98 or more"), ("> 7.99 of 8", "7.99 or more"), ("0 of 8", "0.01 or fewer"),
+         ("1.87 of 8", "1.86 .. 1.88"), ("2.50 of 8", "exact")]),
+    "losses in a sentence": (
+        [losses_sentence(estimate(0.2, 0.0, 1.5), 2), losses_sentence(estimate(0.01, 0.0, 0.03), 1)],
+        ["0.2 (1.5 or fewer, 95 %) robots", "0.01 (0.03 or fewer, 95 %) robots"]),
+    "never seen: the most it may be": ([estimate(0, 0, 0.0009, 0).describe(100, " %")], ["0 % (0.1 or less, 95 %)"]),
+    "not -0.0": ([estimate(mean, -0.2, 0.2).describe() for mean in (0.0, -1e-17)], ["0.0 ± 0.2 (95 %)"] * 2),
+    "exact": ([estimate(0, 0, 0, 0).describe(), exactly(0.99995).describe(100, " %"), exactly(1.0).describe(100, " %")],
+              ["0.00 (exact)", "> 99.99 % (exact)", "100 % (exact)"]),
+    "what is known is not said to be nothing": ([exactly(3e-5).describe(100, " points")], ["0.003 points (exact)"]),
+    "exact in a table": ([exactly(0.0).columns(100, 100)], [("0", "exact")]),
+    "an interval that is no point": (
+        [estimates.between(*one)
+         for one in ((7.9978, 7.9991), (0.0, 0.0004), (85.604, 85.756), (8.0, 8.0), (279.01, 279.04, 1))],
+        ["7.99 .. 8.00", "0.00 .. 0.01", "85.60 .. 85.76", "8.00 .. 8.00", "279.0 .. 279.1"]),
+    "chances in a table": (
+        [Chance(**vars(proportion(count, n, n == 1)), rollouts=n).columns()
+         for count, n in ((0, 1024), (3, 1024), (1024, 1024), (50_000, 100_000), (1, 1))],
+        [("0", "0.4 or less"), ("0.3", "0.0 .. 0.9"), ("100", "99.6 or more"), ("50.0", "49.6 .. 50.4"),
+         ("100", "exact")]),
+    "the unit where an interval is read": (
+        [estimates.in_unit(one) for one in ("exact", "", "56.4 .. 56.6", "99.5 or more", "9 .. 12, certain")],
+        ["exact", "", "56.4 .. 56.6 %", "99.5 % or more", "9 .. 12 %, certain"]),
+    "sweeps": ([sweep_percent(estimate(0.0, 0.0, 0.3)), sweep_percent(exactly(0.85731))],
+               ["0 (30.0 or less)", "85.73 (exact)"]),
+    "no time is below 0": ([sweep_around(estimate(3.0, 0.0, 12.0, 4.0))], ["3.0 (0.0 .. 12.0)"]),
+    "digits that the interval allows": (
+        [estimate(0.85678, 0.85678 - half, 0.85678 + half).describe(100, " %") for half in (8e-4, 2.4e-4, 3e-3, 7e-3)],
+        [f"{said} (95 %)" for said in ("85.7 % ± 0.1", "85.68 % ± 0.03", "85.7 % ± 0.3", "86 % ± 1")]),
+    "the two largest units of a time": ([duration(s) for s in (0.2, 59, 60, 125, 3600, 4830)],
+                                        ["1 s", "59 s", "1 min", "2 min 5 s", "1 h", "1 h 20 min"]),
+    "numbers and their things": ([counted(1.0, "step"), counted(1.5, "step"), counted(1, "map")],
+                                 ["1 step", "1.5 steps", "1 map"]),
+    "steps": ([UNPACED.steps(1.2), UNPACED.steps(13.6), UNPACED.step(12.4)], ["1 step", "14 steps", "step 12"]),
+    "at least": ([formatting.at_least_text(*of) for of in ((1, 3), (2, 3), (3, 3), (1, 1))],
+                 ["at least 1 robot is", "at least 2 robots are", "every robot is", "the robot is"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", TEXTS)
+def test_no_text_claims_more_than_is_known(what: str) -> None:
+    found, said = TEXTS[what]
+    assert found == said
 
 
 @pytest.mark.parametrize(
-    ("estimate", "said", "table"),
+    ("of", "said", "table"),
     [
-        (Estimate(0.0, 0.1, (0.0, 0.3)), "0 % (30 or less, 95 %)", "0 (30.0 or less)"),
-        (Estimate(0.998, 0.002, (0.995, 1.0)), "99.8 % (99.5 or more, 95 %)", "99.8 (99.5 or more)"),
-        (Estimate(0.02, 0.02, (0.0, 0.05)), "2 % (5 or less, 95 %)", "2.0 (5.0 or less)"),
-        (Estimate(0.4, 0.4, (-0.2, 1.0)), "40 % (0 .. 100, 95 %)", "40.0 (0 .. 100)"),
-        (Estimate(0.6735, 0.0007, (0.6721, 0.6749)), "67.3 % ± 0.2 (95 %)", "67.3 ± 0.2"),
+        ((0.0, 0.0, 0.3), "0 % (30 or less, 95 %)", "0 (30.0 or less)"),
+        ((0.998, 0.995, 1.0, 0.002), "99.8 % (99.5 or more, 95 %)", "99.8 (99.5 or more)"),
+        ((0.02, 0.0, 0.05, 0.02), "2 % (5 or less, 95 %)", "2.0 (5.0 or less)"),
+        ((0.4, -0.2, 1.0, 0.4), "40 % (0 .. 100, 95 %)", "40.0 (0 .. 100)"),
+        ((0.6735, 0.6721, 0.6749, 0.0007), "67.3 % ± 0.2 (95 %)", "67.3 ± 0.2"),
     ],
 )
-def test_a_symmetric_interval_stays_in_what_is_possible(estimate: Estimate, said: str, table: str) -> None:
-    assert (estimate.describe(100, " %"), estimate.around(100, most=100)) == (said, table)
-
-
-def test_an_interval_has_its_unit_where_it_is_read() -> None:
-    said = [in_unit(one) for one in ("exact", "", "56.4 .. 56.6", "99.5 or more", "9 .. 12, certain")]
-    assert said == ["exact", "", "56.4 .. 56.6 %", "99.5 % or more", "9 .. 12 %, certain"]
+def test_a_symmetric_interval_stays_in_what_is_possible(of: tuple[float, ...], said: str, table: str) -> None:
+    found = estimate(*of)
+    assert (found.describe(100, " %"), found.around(100, most=100)) == (said, table)
 
 
 def test_no_printed_share_leaves_0_to_100() -> None:
@@ -463,24 +408,14 @@ def test_no_printed_share_leaves_0_to_100() -> None:
                 assert (float(first) == 100) == (mean > 1 - 1e-12) and (float(first) == 0) == (mean == 0), (text, mean)
 
 
-def test_sweeps_say_times_and_shares_by_the_same_rule() -> None:
-    assert sweep_percent(Estimate(0.0, 0.1, (0.0, 0.3))) == "0 (30.0 or less)"
-    assert sweep_percent(exactly(0.85731)) == "85.73 (exact)"
-    assert sweep_around(Estimate(3.0, 4.0, (0.0, 12.0))) == "3.0 (0.0 .. 12.0)", "no time is below 0"
-
-
 def test_a_mean_of_few_rollouts_has_its_interval() -> None:
     """Five rollouts that lose 0.2 of 2 on average: their interval allows no decimal, and it is said."""
-    said = losses_text(evaluation_of([0, 1, 4]))
-    assert re.fullmatch(
-        r"0\.2 of 2 robots \([\d.]+ or fewer\) lost on average; all in 0 % of runs, none in 80 %\.", said
-    )
-    assert losses_sentence(Estimate(0.2, 0.3, (0.0, 1.5)), 2) == "0.2 (1.5 or fewer, 95 %) robots"
-    assert losses_sentence(Estimate(0.01, 0.01, (0.0, 0.03)), 1) == "0.01 (0.03 or fewer, 95 %) robots"
+    said = r"0\.2 of 2 robots \([\d.]+ or fewer\) lost on average; all in 0 % of runs, none in 80 %\."
+    assert re.fullmatch(said, losses_text(evaluation_of([0, 1, 4])))
 
 
 def test_what_was_cut_off_and_lost_agrees_with_its_number() -> None:
-    whole, limit = evaluation_of([0, 1]), "cut off at the step limit: raise max_steps"
+    whole = evaluation_of([0, 1])
     for runs, cut, said in (
         (1, 1, "1 of 1 rollout was"),
         (20, 1, "1 of 20 rollouts was"),
@@ -489,22 +424,16 @@ def test_what_was_cut_off_and_lost_agrees_with_its_number() -> None:
         outcomes = np.zeros_like(whole.tally.outcomes)
         outcomes[[Outcome.COMPLETE, Outcome.STEP_LIMIT]] = runs - cut, cut
         tally = replace(whole.tally, outcomes=outcomes, ids=((0, runs),))
-        assert cut_off(whole.world, tally, whole.plan) == (f"{said} {limit}",)
-    world = mrac.load([[0, 0, 0, 0.3, 0]])
-    for step, said in (
-        (1, "(exact) visited, 0 of 1 robot lost on average."),
-        (3, "0.30 of 1 robot lost on average."),
-    ):
-        answer = mrac.evaluate(world, 1, rollouts=64, deadline=step, advice=False, band=False, loop="open")
+        found = cut_off(whole.world, tally, whole.plan)
+        assert found == (f"{said} cut off at the step limit: raise max_steps",)
+    world, quiet = mrac.load([[0, 0, 0, 0.3, 0]]), {"advice": False, "band": False, "loop": "open"}
+    for step, said in ((1, "(exact) visited, 0 of 1 robot lost on average."), (3, "0.30 of 1 robot lost on average.")):
+        answer = mrac.evaluate(world, 1, rollouts=64, deadline=step, **quiet)
         (line,) = (line for found in answer.elements for line in found.opens)
         assert line.startswith(f"By step {step}: ") and line.endswith(said)
 
 
 def test_numbers_and_their_things_agree() -> None:
-    assert (counted(1.0, "step"), counted(1.5, "step"), counted(1, "map")) == ("1 step", "1.5 steps", "1 map")
-    assert (UNPACED.steps(1.2), UNPACED.steps(13.6), UNPACED.step(12.4)) == ("1 step", "14 steps", "step 12")
-    said = [at_least_text(*of) for of in ((1, 3), (2, 3), (3, 3), (1, 1))]
-    assert said == ["at least 1 robot is", "at least 2 robots are", "every robot is", "the robot is"]
     plan = make_plan(World.create([[0.0, 0.2, 0.0]]), [[0, 0]])
     assert ", shared once; " in plan_text(replace(plan, shares=1))
     two = make_plan(World.create([[0.0, 0.0]]), [[0, 0]])
@@ -531,12 +460,15 @@ def world() -> World:
 @pytest.fixture(scope="module")
 def answers(world: World) -> dict[str, Evaluation]:
     """Both loops, with everything that can be asked for."""
-    plan = make_plan(world, place_starts(world, 8)[0])
-    known = {"deadline": 40, "rollouts": 200}
+
+    def evaluated(rollouts: int = 200, loop: Any = "closed", **more: Any) -> Evaluation:
+        return evaluate(world, plan, RolloutChoices(loop=loop, deadline=40, rollouts=rollouts), **more)
+
+    plan = mrac.plan(world, 8)
     return {
-        "closed": evaluate(world, plan, RolloutChoices(**known), threat_scale=(0.5, 2.0)),
-        "controlled": evaluate(world, plan, RolloutChoices(**(known | {"rollouts": 1024}))),
-        "open": evaluate(world, plan, RolloutChoices(loop="open", **known), threat_scale=(0.5,)),
+        "closed": evaluated(threat_scale=(0.5, 2.0)),
+        "controlled": evaluated(1024),
+        "open": evaluated(loop="open", threat_scale=(0.5,)),
     }
 
 
@@ -555,30 +487,25 @@ def test_the_answer_losses_chances_and_time_come_first(loop: str, answers: dict[
 
 
 def test_formulas_are_listed_only_when_asked_for(answers: dict[str, Evaluation]) -> None:
-    answer = answers["closed"]
-    assert "Theorem 3" not in shown(answer, 200) and "FAILS" not in shown(answer, 200)
-    assert "formula" not in shown(answer, 200), "no concern of who asks for coverage"
-    assert formulas_text(answer) in shown(answer, 200, theory=True)
-    listed = shown(answer, 200, theory=True)
+    said, listed = (shown(answers["closed"], 200, theory) for theory in (False, True))
+    assert "Theorem 3" not in said and "FAILS" not in said
+    assert "formula" not in said, "no concern of who asks for coverage"
+    assert formulas_text(answers["closed"]) in listed
     assert listed.count("Theorem 3") == 4 and "eq. (2) as printed" in listed and "--theory" not in listed
 
 
-@pytest.mark.parametrize("loop", ["closed", "controlled", "open"])
+@pytest.mark.parametrize("loop", ["closed", "controlled", "open", "check"])
 @pytest.mark.parametrize("width", [80, 200])
-def test_tables_fit_and_no_label_is_over_four_lines(loop: str, width: int, answers: dict[str, Evaluation]) -> None:
-    said = shown(answers[loop], width, theory=True)
-    assert max(map(len, said.splitlines())) <= width
+def test_tables_fit_and_no_label_is_over_four_lines(
+    loop: str, width: int, world: World, answers: dict[str, Evaluation]
+) -> None:
+    if loop == "check":
+        checked = check_report(mrac.check(world, 2, rollouts=200))
+        said = as_text(lambda console: print_report(checked, console), width)
+    else:
+        said = shown(answers[loop], width, theory=True)
+    assert max(map(len, said.splitlines())) <= width and "\u2026" not in said
     assert most_lines(said) <= (MOST_LINES if width == 80 else 1), said
-    assert "\u2026" not in said
-
-
-def test_check_can_be_read_at_80_columns(world: World) -> None:
-    plan = make_plan(world, place_starts(world, 2)[0])
-    checked = check_input(world, plan, RolloutChoices(rollouts=200))
-    said = as_text(lambda console: print_report(check_report(checked), console), 80)
-    assert max(map(len, said.splitlines())) <= 80
-    assert most_lines(said) <= MOST_LINES, said
-    assert "\u2026" not in said
 
 
 def most_lines(said: str) -> int:
@@ -604,16 +531,13 @@ def test_notes_come_last_and_the_width_of_a_pipe_can_be_set(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Results on standard output, then on standard error how the map was read."""
-    monkeypatch.setenv("COLUMNS", "80")
     World.create(np.full((4, 6), 0.05), source="m").save(tmp_path / "m.npz")
-    events: list[str] = []
-    monkeypatch.setattr("analysis.cli.console.say", lambda lines: events.extend(lines))
-    monkeypatch.setattr("analysis.report.result.print_report", lambda *_, **__: events.append("the answer"))
-    words = ["evaluate", str(tmp_path / "m.npz"), "--robots", "25", "--rollouts", "64"]
-    assert run(words) == 0
-    assert events[0] == "the answer"
-    monkeypatch.undo()
+    words, events = ["evaluate", str(tmp_path / "m.npz"), "--robots", "25", "--rollouts", "64"], list[str]()
     monkeypatch.setenv("COLUMNS", "80")
+    with monkeypatch.context() as watched:
+        watched.setattr("analysis.cli.console.say", events.extend)
+        watched.setattr("analysis.report.result.print_report", lambda *_, **__: events.append("the answer"))
+        assert run(words) == 0 and events[0] == "the answer"
     assert run([*words, "--theory"]) == 0
     said = capsys.readouterr().out
     assert max(map(len, said.splitlines())) <= 80 and "Theorem 3" in said
@@ -631,11 +555,15 @@ CHOICES = [
 
 @pytest.fixture(scope="module")
 def plan(world: World) -> Plan:
-    return make_plan(world, place_starts(world, 3)[0])
+    return mrac.plan(world, 3)
 
 
-def tally_of(world: World, plan: Plan, choices: RolloutChoices, until: int | None = None) -> Tally:
-    return list(make_roll_out(world, plan, choices)(choices, until))[-1].tally
+def assert_is_of(band: Band, cut: Callable[[int], Tally], places: Iterable[int]) -> None:
+    """The band holds the quantiles of the tally that is cut off at each step."""
+    for place in places:
+        visited = cut(int(band.steps[place])).visited
+        found = tuple(int(values[place]) for values in (band.low, band.median, band.high))
+        assert found == tuple(quantile(visited, q) for q in estimates.QUANTILES), f"step {band.steps[place]}"
 
 
 def band_of(world: World, plan: Plan, choices: RolloutChoices) -> Band:
@@ -645,38 +573,27 @@ def band_of(world: World, plan: Plan, choices: RolloutChoices) -> Band:
 
 
 @pytest.mark.parametrize("choices", CHOICES, ids=lambda choices: f"{choices.loop}-{choices.seed}")
+@pytest.mark.parametrize("wears", [False, True])
 def test_the_band_is_that_of_the_same_ids_cut_off_at_every_step(
-    world: World, plan: Plan, choices: RolloutChoices
+    world: World, plan: Plan, choices: RolloutChoices, wears: bool
 ) -> None:
     """Brute force: the first ids again for every step of the band, by the engines, and the quantiles of their tally."""
-    band = band_of(world, plan, choices)
-    assert band.rollouts == BAND_LEAST
-    roll_out, few = make_roll_out(world, plan, choices), replace(choices, rollouts=BAND_LEAST)
-    for place in [*range(0, len(band.steps), 7), len(band.steps) - 1]:
-        cut = list(roll_out(few, int(band.steps[place])))[-1].tally
-        shown = tuple(int(values[place]) for values in (band.low, band.median, band.high))
-        assert shown == tuple(quantile(cut.visited, q) for q in QUANTILES), f"step {band.steps[place]}"
-
-
-def test_the_band_of_robots_that_wear_is_that_of_robots_that_wear(world: World) -> None:
-    plan = make_plan(world, place_starts(world, 3)[0], Settings(weibull_shape=3.0, hazard_multiplier=(1.0, 4.0, 0.5)))
-    choices = RolloutChoices(loop="open", rollouts=120)
+    if wears:
+        plan = mrac.plan(world, 3, weibull_shape=3.0, hazard_multiplier=(1.0, 4.0, 0.5))
     band, roll_out = band_of(world, plan, choices), make_roll_out(world, plan, choices)
-    for place in range(0, len(band.steps), 25):
-        cut = list(roll_out(replace(choices, rollouts=BAND_LEAST), int(band.steps[place])))[-1].tally
-        shown = tuple(int(values[place]) for values in (band.low, band.median, band.high))
-        assert shown == tuple(quantile(cut.visited, q) for q in QUANTILES)
+    assert band.rollouts == BAND_LEAST
+    few, last = replace(choices, rollouts=BAND_LEAST), len(band.steps) - 1
+    assert_is_of(band, lambda step: list(roll_out(few, step))[-1].tally, [*range(0, last, 25 if wears else 7), last])
 
 
 def test_every_step_of_a_short_run_is_looked_at_and_the_end_of_the_longest(world: World, plan: Plan) -> None:
     choices = RolloutChoices(rollouts=300, deadline=1000)
-    tally = tally_of(world, plan, choices)
-    band = band_of(world, plan, choices)
+    tallies = make_roll_out(world, plan, choices)
+    band, tally = band_of(world, plan, choices), list(tallies(choices, None))[-1].tally
     assert {0, 1000, int(np.flatnonzero(tally.time).max())} <= set(band.steps.tolist())
     assert len(band.steps) <= STEPS + 2
-    end = [int(values[-1]) for values in (band.low, band.median, band.high)]
-    few = tally_of(world, plan, replace(choices, rollouts=band.rollouts))
-    assert end == [quantile(few.visited, q) for q in QUANTILES]
+    few = replace(choices, rollouts=band.rollouts)
+    assert_is_of(band, lambda step: list(tallies(few, None))[-1].tally, [-1])
 
 
 def test_no_more_rollouts_than_were_asked_for_and_few_of_many(world: World, plan: Plan) -> None:
@@ -687,15 +604,11 @@ def test_no_more_rollouts_than_were_asked_for_and_few_of_many(world: World, plan
 
 
 def test_other_planners_paths_that_wait_and_cross_have_a_band(world: World) -> None:
-    free = np.flatnonzero(world.free)
-    start = next(int(cell) for cell in free if world.free.flat[cell + 1])
-    walk = np.array([start, start, start + 1, start, start, start + 1])
-    plan = Plan(shape=world.shape, sha256="", settings=None, areas=(), areas_added=(), robots=(RobotPlan(walk),) * 2)
-    choices = RolloutChoices(loop="open", rollouts=50)
-    band = band_of(world, plan, choices)
-    assert band.steps.tolist() == list(range(6))
-    assert band.median.tolist()[:2] == [1, 1]
-    assert band.high[-1] == 2
+    start = next(int(cell) for cell in np.flatnonzero(world.free) if world.free.flat[cell + 1])
+    walk = RobotPlan(start + np.array([0, 0, 1, 0, 0, 1]))
+    plan = Plan(shape=world.shape, sha256="", settings=None, areas=(), areas_added=(), robots=(walk, walk))
+    band = band_of(world, plan, RolloutChoices(loop="open", rollouts=50))
+    assert band.steps.tolist() == list(range(6)) and band.median.tolist()[:2] == [1, 1] and band.high[-1] == 2
 
 
 def test_the_evaluation_s_band_is_the_same_for_the_same_seed_and_every_chunk(world: World, plan: Plan) -> None:
@@ -708,25 +621,14 @@ def test_the_evaluation_s_band_is_the_same_for_the_same_seed_and_every_chunk(wor
 @pytest.mark.parametrize("loop", ["open", "closed"])
 def test_the_page_s_table_shows_the_band_only_where_it_was_looked_at(world: World, loop: str) -> None:
     """1 robot takes some hundred steps: more than are looked at."""
-    plan = make_plan(world, place_starts(world, 1)[0])
-    choices = RolloutChoices(loop=loop, rollouts=100)  # type: ignore[arg-type]
-    answer = evaluate(world, plan, choices, band=True)
-    band = answer.outputs.get("band")
-    assert band is not None
+    answer = evaluate(world, mrac.plan(world, 1), RolloutChoices(loop=loop, rollouts=100), band=True)  # type: ignore[arg-type]
+    band = answer.outputs["band"]
     assert len(band.steps) < band.steps[-1]
     rows = re.findall(r"<tr>(.*?)</tr>", chart_html(over_time(answer)), re.DOTALL)
-    table = [
-        [html.unescape(cell).replace("\xa0", " ") for cell in re.findall(r"<t[hd][^>]*>([^<]*)</t[hd]>", row)]
-        for row in rows
-    ]
+    table = [re.findall(r"<t[hd][^>]*>([^<]*)</t[hd]>", html.unescape(row).replace("\xa0", " ")) for row in rows]
     name = next(place for place, words in enumerate(table[0]) if words.startswith("median of 100 rollouts"))
-    cells = answer.tally.accessible
     said = {}
-    for step, low, middle, high in zip(
-        *map(np.ndarray.tolist, (band.steps, band.low, band.median, band.high)), strict=True
-    ):
-        lowest, median, highest = (f"{100 * value / cells:,.2f}" for value in (low, middle, high))
-        said[f"{step:,}"] = median if low == high else f"{median} ({lowest} .. {highest})"
-    assert len(table) > 30
-    for row in table[1:]:
-        assert row[name] == said[row[0]]
+    for step, *values in np.array([band.steps, band.low, band.median, band.high]).T.tolist():
+        low, median, high = (f"{100 * value / answer.tally.accessible:,.2f}" for value in values)
+        said[f"{step:,}"] = median if low == high else f"{median} ({low} .. {high})"
+    assert len(table) > 30 and all(row[name] == said[row[0]] for row in table[1:])

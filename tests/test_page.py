@@ -8,39 +8,28 @@ import json
 import re
 import zlib
 from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import FOLDER
+from drawn_worlds import extreme_worlds
 from page_reader import PNG, Browser, Reader, check_page_is_sound, needs_browser
 from PIL import Image
 from rich.table import Table
 
 import mrac_jax as mrac
-from analysis.checking.check import MapCheck, Survey, check_input, make_survey, run_survey
 from analysis.checking.check import coverage as coverage_chart
-from analysis.checking.report import check_headline, check_report, survey_headline, survey_report
+from analysis.checking.check import make_survey, run_survey
+from analysis.checking.report import check_report, survey_headline, survey_report
 from analysis.evaluation.evaluate import Evaluation, evaluate
 from analysis.evaluation.layers import nominal, picked
 from analysis.evaluation.report import bound_text, completion_text, headline, losses_text, report
 from analysis.evaluation.tables import distribution, formulas_text, over_time
+from analysis.page import document
 from analysis.page.charts import chart_html
-from analysis.page.document import (
-    FOLDED_FROM,
-    MOST_ROWS,
-    TEMPLATES,
-    Html,
-    TableData,
-    asset,
-    block,
-    from_rich,
-    unbroken,
-    whole_script,
-    with_code,
-)
+from analysis.page.document import MOST_ROWS, TEMPLATES, Html, TableData, asset, block, whole_script, with_code
 from analysis.page.elements import CellLayer, Chart, Run, Series
 from analysis.page.maps import NOT_FREE, OUT_OF_REACH, STEPS, cell_maps_html, pack, packed_runs
 from analysis.pictures import COVERED, picture_style
@@ -50,12 +39,10 @@ from analysis.report.rendering import figure_of, page_of
 from analysis.report.rendering import page_of as page_of_report
 from analysis.report.result import save_report
 from analysis.sampling import RolloutChoices, make_engine_for
-from analysis.theory.verdicts import FORMULAS
 from planner.make_plan import make_plan
-from planner.plan.plan import Plan, RobotPlan
 from planner.settings import Choices, Settings
+from planner.tally import RolloutResults, Trace
 from planner.world.scenario import load_input
-from planner.world.start_rule import place_starts
 from planner.world.world import World, load_world_file
 
 # What a page is made of: markup that cannot be broken, tables, curves, maps by cell.
@@ -83,30 +70,28 @@ def test_text_is_shown_and_never_obeyed(text: str) -> None:
 
 
 def test_what_stands_between_backticks_is_code() -> None:
-    assert with_code("take `x <4>` & go") == "take <code>x &lt;4&gt;</code> &amp; go"
-    assert with_code("an odd ` one") == "an odd ` one"
-    assert with_code(Html("<b>`as it is`</b>")) == "<b>`as it is`</b>"
-
-
-def test_no_line_ends_between_a_number_and_its_unit_or_an_option_and_its_value() -> None:
     """Options keep their plain spaces: they are copied into a shell."""
-    tied = {
-        "85.73 % ± 0.05 of 3,451 cells": "85.73~%~±~0.05~of 3,451~cells",
-        "a 95 % interval, < 0.1 %": "a 95~% interval, <~0.1~%",
-        "no number here": "no number here",
-    }
-    for text, shown in tied.items():
-        assert unbroken(text) == shown.replace("~", "\N{NO-BREAK SPACE}")
-    assert with_code("lose 0.6: `--policy per_cell --robot-value 4`") == (
-        'lose 0.6: <code><span class="whole">--policy per_cell</span> <span class="whole">--robot-value 4</span></code>'
-    )
-    assert with_code("run it: x --seed 1 <") == 'run it: x <span class="whole">--seed 1</span> &lt;'
+    for text, shown in (
+        ("take `x <4>` & go", "take <code>x &lt;4&gt;</code> &amp; go"), ("an odd ` one", "an odd ` one"),
+        (Html("<b>`as it is`</b>"), "<b>`as it is`</b>"),
+        ("run it: x --seed 1 <", 'run it: x <span class="whole">--seed 1</span> &lt;'),
+        ("`--policy per_cell --robot-value 4`",
+         '<code><span class="whole">--policy per_cell</span> <span class="whole">--robot-value 4</span></code>'),
+    ):  # fmt: skip
+        assert with_code(text) == shown
+
+
+def test_no_line_ends_between_a_number_and_its_unit() -> None:
+    tied = {"85.73 % ± 0.05 of 3,451 cells": "85.73~%~±~0.05~of 3,451~cells", "no number here": "no number here",
+            "a 95 % interval, < 0.1 %": "a 95~% interval, <~0.1~%"}  # fmt: skip
+    assert {text: document.unbroken(text).replace("\N{NO-BREAK SPACE}", "~") for text in tied} == tied
 
 
 def test_html_stands_as_it_is_and_data_is_inert() -> None:
     assert TEMPLATES.from_string("{{ a }}{{ b }}{{ c }}").render(a=Html("<b>"), b=3, c=None) == "<b>3"
     inert = block("data", {"name": HOSTILE[0]})
     assert inert.count("<") == 2 and Reader(inert).data() == [{"name": HOSTILE[0]}]
+    assert "</script" not in whole_script() and "</style" not in asset("page.css")
 
 
 # --- the page ---
@@ -133,22 +118,15 @@ def test_a_page_of_hostile_words_is_sound() -> None:
 
 def test_an_axis_of_words_has_words() -> None:
     """In its labels and in the table of values."""
-    reader = Reader(
-        chart_html(Chart("T", (Series("one", [0, 1], [3, 4]),), "risk", "covered", x_words=("paper", "log")))
-    )
-    assert reader.text.count("paper") == reader.text.count("log") == 2
+    chart = Chart("T", (Series("one", [0, 1], [3, 4]),), "risk", "covered", x_words=("paper", "log"))
+    text = Reader(chart_html(chart)).text
+    assert text.count("paper") == text.count("log") == 2
 
 
 def test_sections_without_anything_are_left_out() -> None:
-    page = page_of(
-        Report("n", "k", "T", "A.", dict, parts=[Section("One", notes=["x"]), Section("Two")]), "mrac-jax", {}, ()
-    )
-    headings = [heading for _, heading in check_page_is_sound(page).headings]
+    said = Report("n", "k", "T", "A.", dict, parts=[Section("One", notes=["x"]), Section("Two")])
+    headings = [heading for _, heading in check_page_is_sound(page_of(said, "mrac-jax", {}, ())).headings]
     assert headings == ["T", "One", "How to reproduce"]
-
-
-def test_no_asset_ends_the_element_that_holds_it() -> None:
-    assert "</script" not in whole_script() and "</style" not in asset("page.css")
 
 
 # --- tables ---
@@ -158,7 +136,7 @@ def test_tables_of_the_command_line_keep_words_and_sides() -> None:
     table = Table("", "a [0, 3]", title="T")
     table.columns[1].justify = "right"
     table.add_row("[b]name[/b] :smile:", "1.5 FAILS")
-    known = from_rich(table)
+    known = document.from_rich(table)
     assert known == TableData("T", ("", "a [0, 3]"), (("[b]name[/b] :smile:", "1.5 FAILS"),), frozenset({0}))
     reader = Reader(block("table_of", known))
     assert reader.all("span")[0]["class"] == "verdict fails"
@@ -167,10 +145,10 @@ def test_tables_of_the_command_line_keep_words_and_sides() -> None:
 
 def test_long_tables_are_folded_and_cut_with_a_note() -> None:
     rows = tuple((str(number),) for number in range(MOST_ROWS + 5))
-    reader = Reader(block("table_of", TableData("T", ("n",), rows)))
-    assert len(reader.all("tr")) == MOST_ROWS + 1 and reader.all("details")
-    assert f"{MOST_ROWS:,} of {len(rows):,} rows" in reader.text
-    assert not Reader(block("table_of", TableData("T", ("n",), rows[:FOLDED_FROM]))).all("details")
+    tables = [TableData("T", ("n",), some) for some in (rows, rows[: document.FOLDED_FROM])]
+    long, short = (Reader(block("table_of", table)) for table in tables)
+    assert len(long.all("tr")) == MOST_ROWS + 1 and long.all("details") and not short.all("details")
+    assert f"{MOST_ROWS:,} of {len(rows):,} rows" in long.text
 
 
 # --- curves ---
@@ -207,69 +185,58 @@ def test_long_curves_are_banded() -> None:
 def test_charts_of_one_point_and_of_none() -> None:
     for y in (0.0, 1.0, -3.0):
         assert "<svg" in chart_html(Chart("T", (Series("a", [4], [y]),), "robots", "%"))
-    assert chart_html(Chart("T", (Series("a", [], []), Series("b", [1], [np.nan])), "robots", "%")) == ""
-    assert chart_html(Chart("T", (), "robots", "%")) == ""
+    for series in ((Series("a", [], []), Series("b", [1], [np.nan])), ()):
+        assert chart_html(Chart("T", series, "robots", "%")) == ""
 
 
 # --- maps by cell ---
 
 
-def unpacked(layer: dict, shape: tuple[int, int]) -> np.ndarray:
-    codes = np.frombuffer(zlib.decompress(base64.b64decode(layer["codes"])), dtype="<u2")
-    return codes.reshape(shape)
+def unpacked(layer: dict, shape: tuple[int, ...]) -> np.ndarray:
+    return np.frombuffer(zlib.decompress(base64.b64decode(layer["codes"])), dtype="<u2").reshape(shape)
 
 
-@pytest.fixture(scope="module")
-def cells() -> tuple[np.ndarray, World, np.ndarray]:
-    """Chances, a map of 3 x 5, and its cells that can be reached from the lower left."""
-    chance = np.linspace(0, 1, 15).reshape(3, 5)
+def colours_of(image: dict[str, str | None]) -> np.ndarray:
+    """The colours `[H, W, 3]` of an image that is in the page."""
+    with Image.open(io.BytesIO(base64.b64decode(str(image["src"]).split(",")[1]))) as data:
+        return np.array(data.convert("RGB"))
+
+
+def test_a_map_holds_every_cell_the_right_way_up() -> None:
+    """Of chances on a map of 3 x 5, whose cells but one can be reached from the lower left."""
+    chance, threat = np.linspace(0, 1, 15).reshape(3, 5), np.zeros((3, 5))
     chance[0, 1], chance[2, 3] = 1e-9, 1 - 1e-9
-    threat = np.zeros((3, 5))
     threat[1, 2] = threat[0, 3] = threat[1, 4] = np.nan
     world = World.create(threat, cell_size=0.5)
-    accessible = world.free.copy()
-    accessible[0, 4] = False
-    return chance, world, accessible
-
-
-def test_a_map_holds_every_cell_the_right_way_up(cells: tuple[np.ndarray, World, np.ndarray]) -> None:
-    chance, world, accessible = cells
     layers = [CellLayer("Chance", "about", chance, COVERED, "%", top=1.0), CellLayer("Lost", "", chance * 2, COVERED)]
     reader = Reader(cell_maps_html(layers, world, np.array([[2, 0], [2, 0]])))
-    known = reader.data()[0]
-    assert known["shape"] == [3, 5] and known["starts"] == [[2, 0], [2, 0]] and known["metres"] == 0.5
+    known, accessible = reader.data()[0], world.free & (np.arange(15).reshape(3, 5) != 4)
+    assert (known["shape"], known["starts"], known["metres"]) == ([3, 5], [[2, 0], [2, 0]], 0.5)
     for layer, values in zip(known["layers"], (chance, chance * 2), strict=True):
         codes = unpacked(layer, (3, 5))
-        assert codes[1, 2] == NOT_FREE and codes[0, 4] == OUT_OF_REACH
+        assert [codes[1, 2], codes[0, 4], codes[0, 0], codes[2, 4]] == [NOT_FREE, OUT_OF_REACH, 0, STEPS]
         assert np.allclose((codes / STEPS * layer["largest"])[accessible], values[accessible], atol=2 / STEPS)
-        assert codes[0, 0] == 0 and codes[2, 4] == STEPS
-    codes = unpacked(known["layers"][0], (3, 5))
-    assert codes[0, 1] == 1 and codes[2, 3] == STEPS - 1
-    with Image.open(io.BytesIO(base64.b64decode(str(reader.all("img")[0]["src"]).split(",")[1]))) as image:
-        assert image.size == (5, 3)
-        colours = np.array(image.convert("RGB"))
+    codes, colours = unpacked(known["layers"][0], (3, 5)), colours_of(reader.all("img")[0])
+    assert codes[0, 1] == 1 and codes[2, 3] == STEPS - 1 and colours.shape == (3, 5, 3)
     assert colours[1, 2].tolist() == [0x3D, 0x43, 0x4C] and colours[0, 4].tolist() == [0xDF, 0xE5, 0xEE]
-    assert np.abs(colours[0, 0] / 255 - COVERED(0.0)[:3]).max() < 0.02
-    assert np.abs(colours[2, 4] / 255 - COVERED(1.0)[:3]).max() < 0.02
+    for cell, value in (((0, 0), 0.0), ((2, 4), 1.0)):
+        assert np.abs(colours[cell] / 255 - COVERED(value)[:3]).max() < 0.02
     assert "3 rows and 5 columns" in str(reader.all("img")[0]["alt"])
     assert [name for name in ("robots' starts", "obstacle", "free, out of reach") if name in reader.text] != []
 
 
 def test_large_maps_come_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("analysis.page.maps.MOST_CELLS", 6)
-    threat = np.zeros((5, 5))
+    threat, values = np.zeros((5, 5)), np.arange(25.0).reshape(5, 5) / 25
     threat[1, :2] = np.nan
-    world, starts = World.create(threat), np.array([[4, 4]])
-    values = np.arange(25.0).reshape(5, 5) / 25
+    world = World.create(threat)
     layers = [CellLayer("Chance", "", values, COVERED, "%"), CellLayer("Lost", "", values, COVERED, blocks="sum")]
-    reader = Reader(cell_maps_html(layers, world, starts))
-    known = reader.data()[0]
+    reader = Reader(cell_maps_html(layers, world, np.array([[4, 4]])))
+    known, held = reader.data()[0], np.where(world.free, values, 0)
     assert known["side"] == 3 and "blocks of 3 x 3 cells" in reader.text
     mean, lost = (unpacked(layer, (2, 2)) / STEPS * layer["largest"] for layer in known["layers"])
-    held = world.free[:3, :3]
-    assert np.isclose(mean[0, 0], values[:3, :3][held].mean(), atol=1e-4)
-    assert np.allclose(lost, [[values[:3, :3][held].sum(), values[:3, 3:].sum()],
-                              [values[3:, :3].sum(), values[3:, 3:].sum()]], atol=1e-3)  # fmt: skip
+    assert np.isclose(mean[0, 0], held[:3, :3].sum() / 7, atol=1e-4)
+    assert np.allclose(lost, np.add.reduceat(np.add.reduceat(held, [0, 3], 0), [0, 3], 1), atol=1e-3)
 
 
 def test_a_map_of_one_safe_cell() -> None:
@@ -293,20 +260,8 @@ def world() -> World:
 @pytest.fixture(scope="module")
 def answer(world: World) -> Evaluation:
     """Two robots in the closed loop, with everything that can be asked for."""
-    plan = make_plan(world, place_starts(world, 2)[0])
     choices = RolloutChoices(rollouts=300, deadline=40)
-    return evaluate(world, plan, choices, threat_scale=(0.5,), band=True)
-
-
-@pytest.fixture(scope="module")
-def checked(world: World) -> MapCheck:
-    return check_input(world, make_plan(world, place_starts(world, 2)[0]), RolloutChoices(rollouts=300))
-
-
-@pytest.fixture(scope="module")
-def survey() -> Survey:
-    choices = make_survey(2, None, "8x8", (1, 2), Choices())
-    return run_survey(choices, RolloutChoices(rollouts=64), processes=1)
+    return evaluate(world, mrac.plan(world, 2), choices, threat_scale=(0.5,), band=True)
 
 
 def evaluation_page(answer: Evaluation, command: str, pictures: dict[str, bytes]) -> str:
@@ -320,18 +275,15 @@ def page_of_reports(answer: Evaluation) -> str:
 def test_evaluation_page(answer: Evaluation) -> None:
     page = page_of_reports(answer)
     reader = check_page_is_sound(page)
-    assert len(page) < 300_000
-    assert headline(answer) in reader.text and COMMAND in reader.text
-    assert reader.text.count("No strategy visits more") <= 1
     headings = [heading for level, heading in reader.headings if level == 2]
     assert headings == ["The map and the plan", "Chances and coverage", "Coverage over time", "Single runs",
                         "Cell by cell", "Robots", "The paper's formulas", "Settings", "Pictures",
                         "How to reproduce"]  # fmt: skip
-    assert all(name in reader.text for name in ("world.png", "evaluation.json", "plan.json"))
-    assert answer.closed is not None
     known = 100 * answer.closed.visited.value / answer.tally.accessible
-    assert f"{known:.2f} %" in reader.text and answer.world.sha256[:16] in reader.text
-    assert "By step 40: " in reader.text and "Results with scaled threats" in reader.text
+    for words in ("world.png", "evaluation.json", "plan.json", f"{known:.2f} %", answer.world.sha256[:16],
+                  "By step 40: ", "Results with scaled threats", headline(answer), COMMAND):  # fmt: skip
+        assert words in reader.text
+    assert len(page) < 300_000 and reader.text.count("No strategy visits more") <= 1
 
 
 def test_the_answer_losses_chances_and_the_map_stand_before_the_sections(answer: Evaluation) -> None:
@@ -363,19 +315,10 @@ def test_formulas_and_pictures_are_folded_away(answer: Evaluation) -> None:
 
 
 def test_every_robot_s_path_is_drawn_over_the_map(answer: Evaluation) -> None:
-    page = page_of_reports(answer)
-    lines = [attrs for attrs in Reader(page).all("path") if (attrs.get("class") or "").startswith("r")]
-    assert len(lines) == len(answer.plan.robots)
+    lines = [one for one in Reader(page_of_reports(answer)).all("path") if (one.get("class") or "").startswith("r")]
     for line, robot in zip(lines, answer.plan.robots, strict=True):
-        start, *strokes = re.findall(r"M(\d+) (\d+)|([hv])(-?\d+)", str(line["d"]))
-        col, row = int(start[0]), int(start[1])
-        cells = [row * answer.plan.shape[1] + col]
-        for _, _, way, times in strokes:
-            for _ in range(abs(int(times))):
-                row, col = (row + np.sign(int(times)), col) if way == "v" else (row, col + np.sign(int(times)))
-                cells.append(int(row * answer.plan.shape[1] + col))
         moved = robot.path[np.append(True, np.diff(robot.path) != 0)]
-        assert cells == moved.tolist()
+        assert walked(str(line["d"]), answer.plan.shape[1]) == moved.tolist()
 
 
 def test_paths_too_long_for_a_page_are_left_out(answer: Evaluation, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -392,12 +335,9 @@ def test_one_chance_has_one_colour_in_pictures_and_on_the_page(levels: int) -> N
     world = World.create(threat)
     plan = make_plan(world, [[0, 0]], Settings(levels=levels))
     answer = evaluate(world, plan, RolloutChoices(loop="open", rollouts=10))
-    page = check_page_is_sound(evaluation_page(answer, COMMAND, {}))
-    with Image.open(BytesIO(base64.b64decode(str(page.all("img")[0]["src"]).split(",")[1]))) as image:
-        on_page = np.array(image.convert("RGB"))
+    on_page = colours_of(check_page_is_sound(evaluation_page(answer, COMMAND, {})).all("img")[0])
     with picture_style():
-        figure = figure_of(report(answer), "world.png")
-        drawn = np.asarray(figure.axes[0].images[0].get_array())
+        drawn = np.asarray(figure_of(report(answer), "world.png").axes[0].images[0].get_array())
     assert np.array_equal(np.round(255 * drawn[..., :3]).astype(int), on_page)
     assert len(np.unique(on_page.reshape(-1, 3), axis=0)) > 40
 
@@ -405,7 +345,7 @@ def test_one_chance_has_one_colour_in_pictures_and_on_the_page(levels: int) -> N
 def test_the_demo_s_page_is_one_file_below_a_megabyte(tmp_path: Path) -> None:
     """The world of `make demo`, with the pictures in the page, copied alone."""
     world = load_input(Path(__file__).parents[1] / "analysis/examples/terrain.yaml")
-    plan = make_plan(world, place_starts(world, 8)[0])
+    plan = mrac.plan(world, 8)
     answer = evaluate(world, plan, RolloutChoices(loop="open", rollouts=500))
     save_report(report(answer), tmp_path, COMMAND)
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
@@ -422,18 +362,17 @@ def test_the_page_says_nothing_of_when_it_was_made(answer: Evaluation) -> None:
 
 def test_maps_hold_the_expected_values(answer: Evaluation) -> None:
     known = [found for found in check_page_is_sound(page_of_reports(answer)).data() if "layers" in found][-1]
-    shape = answer.world.shape
-    accessible = answer.world.accessible(answer.plan.starts)
+    shape, accessible = answer.world.shape, answer.world.accessible(answer.plan.starts)
     visited, threat = answer.expected.visited_by_cell, answer.world.threat.ravel()
     expected = (threat, visited, answer.expected.stops_by_cell, threat * (1 - visited))
     assert known["starts"] == answer.plan.starts.tolist() and known["shape"] == list(shape)
-    for layer, values in zip(known["layers"][:4], expected, strict=True):
-        codes = np.frombuffer(zlib.decompress(base64.b64decode(layer["codes"])), dtype="<u2").reshape(shape)
+    *layers, areas = known["layers"][:5]
+    for layer, values in zip(layers, expected, strict=True):
+        codes = unpacked(layer, shape)
         assert np.array_equal(codes <= STEPS, accessible)
         shown = (codes / STEPS * layer["largest"])[accessible]
         assert np.allclose(shown, values.reshape(shape)[accessible], atol=2 * layer["largest"] / STEPS)
-    areas = known["layers"][4]
-    codes = np.frombuffer(zlib.decompress(base64.b64decode(areas["codes"])), dtype="<u2")
+    codes = unpacked(areas, (-1,))
     for number, area in enumerate(answer.plan.areas):
         assert (np.round(codes[area.cells] / STEPS * areas["largest"]) == number).all()
         assert areas["names"][number].startswith(f"{number}, level {area.level}, ")
@@ -453,77 +392,52 @@ def test_curves_hold_the_expected_values(answer: Evaluation) -> None:
     assert np.isclose(np.sum(runs.y), 100, atol=0.1)
 
 
-def hard_worlds() -> dict[str, Evaluation]:
-    """One cell, a row with a deadline, a tall map in the open loop, another planner's plan, cells out of reach."""
-    one, row = World.create([[0.0]]), World.create([[0.0] * 40 + [0.5]], cell_size=2.5)
-    tall = World.create(np.where(np.arange(60)[:, None] % 7 == 6, [[0.1, 0.2, NAN]], [[0.0, 0.05, 0.3]]))
-    split = World.create([[0.0, NAN, 0.2], [0.0, NAN, 0.2]])
-    worlds = {"one": one, "row": row, "tall": tall, "split": split, "foreign": row}
-    plans = {name: make_plan(world, [[0, 0]]) for name, world in worlds.items()}
-    paths = tuple(RobotPlan(robot.path[:9]) for robot in plans["row"].robots)
-    plans["foreign"] = Plan(row.shape, row.sha256, None, paths, outcome="end_of_paths", time=8)
-    choices = {"row": {"deadline": 20}, "tall": {"loop": "open"}, "foreign": {"loop": "open"}}
-    return {
-        name: evaluate(worlds[name], plans[name], RolloutChoices(rollouts=20, **choices.get(name, {})))  # type: ignore[arg-type]
-        for name in worlds
-    }
-
-
 def test_extreme_worlds_with_hostile_names() -> None:
-    for name, answer in hard_worlds().items():
-        shown = replace(
-            answer, world=replace(answer.world, source=HOSTILE_REPORTS), notes=(HOSTILE_REPORTS,), partial=name == "one"
-        )
+    how = {"row": {"deadline": 20}, "tall": {"loop": "open"}, "foreign": {"loop": "open"}}
+    for name, (world, plan) in extreme_worlds(crowd=False).items():
+        hostile, is_one = replace(world, source=HOSTILE_REPORTS), name == "one"
+        answer = evaluate(world, plan, RolloutChoices(rollouts=20, **how.get(name, {})))
+        shown = replace(answer, world=hostile, notes=(HOSTILE_REPORTS,), partial=is_one)
         reader = check_page_is_sound(evaluation_page(shown, HOSTILE_REPORTS, {HOSTILE_REPORTS: PNG}))
-        assert "\\u202e\\udc80.npz" in reader.text, name
-        assert ("Interrupted" in reader.text) == (name == "one")
+        assert "\\u202e\\udc80.npz" in reader.text and ("Interrupted" in reader.text) == is_one, name
 
 
-def test_check_page(checked: MapCheck) -> None:
+def test_check_page(world: World) -> None:
+    checked = mrac.check(world, 2, rollouts=300)
     page = page_of_report(check_report(checked), COMMAND, {"check.png": PNG}, ())
-    reader = check_page_is_sound(page)
-    assert len(page) < 300_000 and page == page_of_report(check_report(checked), COMMAND, {"check.png": PNG}, ())
-    assert check_headline(checked) in reader.text and COMMAND in reader.text
-    for check in checked.rows:
-        assert check.about.plain in reader.text and check.about.source in reader.text
-    assert f"{checked.exact.visited:.2f}" in reader.text
+    text = check_page_is_sound(page).text
+    assert len(page) < 300_000 and COMMAND in text and f"{checked.exact.visited:.2f}" in text
+    assert all(check.about.plain in text and check.about.source in text for check in checked.rows)
     named = replace(checked, world=replace(checked.world, source=HOSTILE_REPORTS))
     check_page_is_sound(page_of_report(check_report(named), HOSTILE_REPORTS, {HOSTILE_REPORTS: PNG}, ()))
 
 
-def test_survey_page(survey: Survey) -> None:
-    page = page_of_report(survey_report(survey), COMMAND, {"over_robots.png": PNG}, ())
-    reader = check_page_is_sound(page)
-    assert len(page) < 300_000 and page == page_of_report(
-        survey_report(replace(survey, seconds=1e6)), COMMAND, {"over_robots.png": PNG}, ()
+def test_survey_page() -> None:
+    survey = run_survey(make_survey(2, None, "8x8", (1, 2), Choices()), RolloutChoices(rollouts=64), processes=1)
+    page, later = (
+        page_of_report(survey_report(replace(survey, seconds=seconds)), COMMAND, {"over_robots.png": PNG}, ())
+        for seconds in (survey.seconds, 1e6)
     )
+    reader = check_page_is_sound(page)
+    assert len(page) < 300_000 and page == later
     assert survey_headline(survey) in reader.text and COMMAND in reader.text
-    assert {row.check.about.title for row in survey.rows} <= titles(reader)
-    coverage = coverage_chart(survey).series[0]
+    assert all(row.check.about.title in reader.text for row in survey.rows)
     truths = [
-        check.truth.value / entry.cells
-        for entry in survey.entries
-        if entry.robots == 2
-        for check in entry.checks
-        if check.key == "ideal_team/visited/open"
-    ]
-    assert np.isclose(np.asarray(coverage.y)[1], 100 * np.mean(truths), atol=0.01)
-
-
-def titles(reader: Reader) -> set[str]:
-    """The formulas that the page's text names."""
-    return {about.title for about in FORMULAS.values() if about.title in reader.text}
+        check.truth.value / entry.cells for entry in survey.entries if entry.robots == 2
+        for check in entry.checks if check.key == "ideal_team/visited/open"
+    ]  # fmt: skip
+    assert np.isclose(np.asarray(coverage_chart(survey).series[0].y)[1], 100 * np.mean(truths), atol=0.01)
 
 
 def test_the_front_s_curve_stands_beside_the_map_with_the_plan_marked() -> None:
     threat = np.zeros((6, 9))
     threat[2:4, 3:7] = 0.2
-    answer = mrac.evaluate(mrac.load(threat), 2, rollouts=2048, band=False, progress=False)
-    page = evaluation_page(answer, "", {})
-    header = page[: page.index("</header>")]
-    assert "Coverage and losses" in header and "this plan (mrac)" in header
-    without = evaluation_page(mrac.evaluate(mrac.load(threat), 2, rollouts=64, band=False, advice=False), "", {})
-    assert "Coverage and losses" not in without
+    drawn, without = (
+        evaluation_page(mrac.evaluate(mrac.load(threat), 2, band=False, **how), "", {})
+        for how in ({"rollouts": 2048}, {"rollouts": 64, "advice": False})
+    )
+    header = drawn[: drawn.index("</header>")]
+    assert "Coverage and losses" in header and "this plan (mrac)" in header and "Coverage and losses" not in without
 
 
 WIDER = "document.documentElement.scrollWidth > document.documentElement.clientWidth"
@@ -563,7 +477,16 @@ COLS = 23
 @pytest.fixture(scope="module")
 def answer_runs() -> Evaluation:
     world = load_world_file(FOLDER / "contiguous-14x23-1000.npz")
-    return evaluate(world, make_plan(world, place_starts(world, 3)[0]), RolloutChoices(rollouts=60))
+    return evaluate(world, mrac.plan(world, 3), RolloutChoices(rollouts=60))
+
+
+@pytest.fixture(scope="module")
+def traces(answer_runs: Evaluation) -> tuple[RolloutResults, list[int], list[Trace]]:
+    """All results; the rollouts that `record` would pick, and their traces."""
+    asked = answer_runs.world, answer_runs.plan, answer_runs.choices
+    engine, (_, ids, count) = make_engine_for(*asked), picked(*asked, answer_runs.tally.rollouts)
+    assert count == 60
+    return engine.results(0, count), ids, list(engine.traces(ids))
 
 
 @pytest.fixture(scope="module")
@@ -588,22 +511,20 @@ def unpacked_runs(run: dict[str, Any], cols: int) -> np.ndarray:
     return np.stack(ways, axis=1)
 
 
-def test_a_page_holds_the_plan_and_the_rollouts_that_record_would_pick(answer_runs: Evaluation, packed: dict) -> None:
+def test_a_page_holds_the_plan_and_the_rollouts_that_record_would_pick(
+    answer_runs: Evaluation, packed: dict, traces: tuple
+) -> None:
     plan, *rolled = packed["runs"]
     assert packed["shape"] == [14, COLS] and packed["accessible"] == answer_runs.tally.accessible
     cells = unpacked_runs(plan, COLS)
     for number, robot in enumerate(answer_runs.plan.robots):
         assert np.array_equal(cells[: len(robot.path), number], robot.path)
-    engine = make_engine_for(answer_runs.world, answer_runs.plan, answer_runs.choices)
-    _, ids, count = picked(answer_runs.world, answer_runs.plan, answer_runs.choices, answer_runs.tally.rollouts)
-    assert count == 60 and [run["name"].split(",")[0] for run in rolled] == ["median", "worst", "best"]
-    results = engine.results(0, count)
-    order = np.sort(results.visited)
-    assert results.visited[ids].tolist() == [order[29], order[0], order[-1]]
-    for run, trace in zip(rolled, engine.traces(ids), strict=True):
+    results, ids, found = traces
+    assert [run["name"].split(",")[0] for run in rolled] == ["median", "worst", "best"]
+    assert results.visited[ids].tolist() == np.sort(results.visited)[[29, 0, -1]].tolist()
+    for run, trace in zip(rolled, found, strict=True):
         assert np.array_equal(unpacked_runs(run, COLS), trace.cells)
-        frames = make_frames(trace)
-        assert run["lost"] == [-1 if alive.all() else int(np.argmin(alive)) for alive in frames.alive.T]
+        assert run["lost"] == [-1 if alive.all() else int(np.argmin(alive)) for alive in make_frames(trace).alive.T]
 
 
 def test_where_nothing_can_happen_the_plan_alone_is_played() -> None:
@@ -626,45 +547,33 @@ def test_runs_that_have_no_room_are_left_out(answer_runs: Evaluation, monkeypatc
 
 
 @needs_browser
-def test_the_script_unfolds_a_run_as_the_recording_does(
-    answer_runs: Evaluation, packed: dict, browser: Browser
-) -> None:
+def test_the_script_unfolds_a_run_as_the_recording_does(packed: dict, traces: tuple, browser: Browser) -> None:
     """Who covers which cell when, and every robot's way, beside `make_frames`, which shares nothing with the script."""
-    script = (
-        asset("replay.js")
-        + """
+    script = asset("replay.js") + """
       const tell = (moves, run, shape) => {
         const replay = unfold(moves, run.starts, run.lost, run.time, ...shape), half = run.time >> 1;
         return { when: [...replay.when], who: [...replay.who], covered: upTo(replay.steps, half),
           left: replay.robots.filter((robot) => !isLost(robot, half)).length,
           at: replay.robots.map((robot) => cellAt(robot, half)),
           trails: replay.robots.map((robot) => trail(robot, half, shape[1])) };
-      };"""
-    )
-    found = []
-    for run in packed["runs"][1:]:
+      };"""  # fmt: skip
+    for run, trace in zip(packed["runs"][1:], traces[2], strict=True):
         moves = [list(moves_of(text)) for text in run["moves"]]
         given = ", ".join(map(json.dumps, (moves, run, packed["shape"])))
-        found.append(browser.run(f"(() => {{ {script} return tell({given}); }})()"))
-    engine = make_engine_for(answer_runs.world, answer_runs.plan, answer_runs.choices)
-    for told, trace in zip(
-        found,
-        engine.traces(picked(answer_runs.world, answer_runs.plan, answer_runs.choices, answer_runs.tally.rollouts)[1]),
-        strict=True,
-    ):
+        told = browser.run(f"(() => {{ {script} return tell({given}); }})()")
         frames, half = make_frames(trace), trace.time // 2
         assert told["when"] == frames.visited_at.tolist() and told["who"] == frames.visited_by.tolist()
         assert told["covered"] == frames.visited[half] and told["left"] == frames.alive_count[half]
         assert told["at"] == trace.cells[half].tolist()
         for letters, way in zip(told["trails"], trace.cells[: half + 1].T, strict=True):
-            assert walked(letters) == way[np.append(True, np.diff(way) != 0)].tolist()
+            assert walked(letters, COLS) == way[np.append(True, np.diff(way) != 0)].tolist()
 
 
-def walked(letters: str) -> list[int]:
+def walked(letters: str, cols: int) -> list[int]:
     """The cells of an SVG path of moves."""
     col, row = map(int, re.findall(r"^M(\d+) (\d+)", letters)[0])
-    cells = [row * COLS + col]
+    cells = [row * cols + col]
     for way, times in re.findall(r"([hv])(-?\d+)", letters):
-        step = (1 if way == "h" else COLS) * int(np.sign(int(times)))
+        step = (1 if way == "h" else cols) * int(np.sign(int(times)))
         cells += [cells[-1] + step * (number + 1) for number in range(abs(int(times)))]
     return cells

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from importlib import import_module
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Literal
 
@@ -89,61 +90,48 @@ def close(one: Estimate, other: Estimate, slack: float = 0.0) -> bool:
 
 def test_a_front_is_everything_that_can_happen() -> None:
     found = find_front(TINY, TINY.starts, Settings(), AUTO, ladders=Ladders((0.5,), (3.0, 8.0), (0.4, 0.7)))
-    assert not found.engine
-    assert found.to_json()["exact"] is True
-    assert front_said(found).endswith("on average (exact).")
-    assert len(found.points) > 5
+    assert not found.engine and found.to_json()["exact"] is True and front_said(found).endswith("on average (exact).")
+    assert len(found.points) > 5 and found.priced == found.corners()
     for point in found.points:
-        settings = settings_of(Settings(), point.setting)
-        truth = everything(placed(TINY.starts), settings)
-        assert point.coverage.mean == pytest.approx(truth.visited / CELLS, abs=1e-6)
-        assert point.losses.mean == pytest.approx(2 - truth.alive, abs=1e-6)
+        truth = everything(placed(TINY.starts), settings_of(Settings(), point.setting))
+        figures = (point.coverage.mean, point.losses.mean)
+        assert figures == pytest.approx((truth.visited / CELLS, 2 - truth.alive), abs=1e-6)
         assert point.time.mean == pytest.approx(truth.time, abs=1e-4)
         assert point.coverage.half_width == point.losses.half_width == 0
-    assert found.priced == found.corners()
 
 
 @pytest.mark.parametrize("depot", [True, False])
 def test_starts_are_everything_that_can_happen(depot: bool) -> None:
     found = find_starts(TINY, 2, Settings(), AUTO, depot=depot, candidates=[[0, 0], [3, 0], [2, 5], [1, 3]])
-    assert not found.rolled
-    assert "(exact)" in starts_said(found)
-    means = {}
-    for place in found.places:
-        truth = everything(placed(place.starts), Settings())
-        means[place.starts.tobytes()] = truth.visited / CELLS
-        assert place.coverage.mean == pytest.approx(truth.visited / CELLS, abs=1e-6)
-        assert place.losses.mean == pytest.approx(2 - truth.alive, abs=1e-6)
-    best = found.places[found.best]
-    able = [place for place in found.places if place.is_depot or not depot]
-    top = max(means[place.starts.tobytes()] for place in able)
-    assert means[best.starts.tobytes()] == pytest.approx(top, abs=1e-6)
-    for place in found.places:
-        gap = means[best.starts.tobytes()] - means[place.starts.tobytes()]
-        assert place is best or place.behind == pytest.approx((gap, gap), abs=1e-6)
+    assert not found.rolled and "(exact)" in starts_said(found)
+    truths = [everything(placed(place.starts), Settings()) for place in found.places]
+    means = [truth.visited / CELLS for truth in truths]
+    top = max(mean for mean, place in zip(means, found.places, strict=True) if place.is_depot or not depot)
+    assert means[found.best] == pytest.approx(top, abs=1e-6)
+    for number, (place, truth) in enumerate(zip(found.places, truths, strict=True)):
+        figures, gap = (place.coverage.mean, place.losses.mean), means[found.best] - means[number]
+        assert figures == pytest.approx((means[number], 2 - truth.alive), abs=1e-6)
+        assert number == found.best or place.behind == pytest.approx((gap, gap), abs=1e-6)
     assert found.confirmed is None or found.confirmed.rollouts == 0
 
 
 def test_what_to_clear_is_everything_that_can_happen() -> None:
     found = find_clearing(TINY, TINY.starts, Settings(), AUTO)
     at, plan = placed(TINY.starts), make_plan(TINY, TINY.starts, Settings())
-    base = everything(at, Settings())
-    assert not found.engine
-    assert "(exact)" in clear_said(found)
-    gains = []
+    base, gains = everything(at, Settings()), []
+    assert not found.engine and "(exact)" in clear_said(found)
     for one in found.options:
         cleared = one.threat.cleared(TINY)
         anew = everything(at, Settings(), cleared)
-        assert one.known.cells.mean == pytest.approx(anew.visited - base.visited, abs=1e-5)
-        assert one.known.robots.mean == pytest.approx(anew.alive - base.alive, abs=1e-5)
+        known = (one.known.cells.mean, one.known.robots.mean)
+        assert known == pytest.approx((anew.visited - base.visited, anew.alive - base.alive), abs=1e-5)
         assert one.known.rollouts == one.unknown.rollouts == 0
-        old = Trial(TINY, plan, replace(SAMPLED, rollouts=60_000)).under(cleared).sample(0, 60_000)
-        was = Trial(TINY, plan, SAMPLED).sample(0, 60_000)
+        trial = Trial(TINY, plan, replace(SAMPLED, rollouts=60_000))
+        old, was = (one.sample(0, 60_000) for one in (trial.under(cleared), trial))
         assert close(one.unknown.cells, old.ahead(was, "visited"))
-        gains.append(anew.visited)
-    assert found.gain.cells.mean == pytest.approx(max(gains) - base.visited, abs=1e-5)
-    hits = sum(one.hits for one in found.options)
-    assert hits == pytest.approx(2 - base.alive, abs=1e-5)
+        gains.append(anew.visited - base.visited)
+    assert found.gain.cells.mean == pytest.approx(max(gains), abs=1e-5)
+    assert sum(one.hits for one in found.options) == pytest.approx(2 - base.alive, abs=1e-5)
 
 
 @pytest.mark.parametrize("meaning", ["visited", "survived"])
@@ -152,54 +140,44 @@ def test_the_size_of_a_team_is_everything_that_can_happen(meaning: str, confiden
     goal = make_goal(0.8, confidence, False, meaning, most=2)  # type: ignore[arg-type]
     found = find_size(TINY, Settings(), goal, AUTO)
     looked_at = [point for point in found.points if point.coverage is not None]
-    assert looked_at
+    assert looked_at and "exact" in size_said(found) and found.confirmed is None
     for point in looked_at:
         truth = everything(placed(TINY.starts[: point.robots]), Settings())
+        mean, often = getattr(truth, meaning) / CELLS, getattr(truth, f"{meaning}_chance")[found.needed :].sum()
         assert point.exact and point.rollouts == 0
-        assert point.coverage.mean == pytest.approx(getattr(truth, meaning) / CELLS, abs=1e-6)
-        often = getattr(truth, f"{meaning}_chance")[found.needed :].sum()
-        assert point.chance.mean == pytest.approx(often, abs=1e-6)
-        wanted = often if confidence else getattr(truth, meaning) / CELLS
-        assert (point.verdict.value == "enough") == (wanted >= goal.wanted)
-    assert "exact" in size_said(found)
-    assert found.confirmed is None
+        assert (point.coverage.mean, point.chance.mean) == pytest.approx((mean, often), abs=1e-6)
+        assert (point.verdict.value == "enough") == ((often if confidence else mean) >= goal.wanted)
 
 
 @pytest.mark.parametrize("robots", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_exact_answers_are_those_that_are_sampled(robots: int) -> None:
-    starts = place_starts(WORLD, robots)[0]
-    for ladders in (Ladders((0.5,), (5.0, 20.0), (0.5,)),):
-        exact, rolled = (find_front(WORLD, starts, Settings(), how, ladders=ladders) for how in (AUTO, SAMPLED))
-        known = {point.setting: point for point in exact.points}
-        both = [(known[point.setting], point) for point in rolled.points if point.setting in known]
-        assert len(both) > 4
-        for one, other in both:
-            assert one.exact
-            assert other.exact == (other.losses.mean == 0)
-            assert close(one.coverage, other.coverage, 1e-4)
-            assert close(one.losses, other.losses, 1e-4)
-            assert close(one.time, other.time, 0.1)
-            assert one.least >= other.least - 1e-4
-            assert one.most <= other.most + 1e-4
-    exact_places, rolled_places = (find_starts(WORLD, robots, Settings(), how, depot=True) for how in (AUTO, SAMPLED))
-    for one_place, other_place in zip(exact_places.places, rolled_places.places, strict=True):
-        if one_place.coverage is not None and other_place.coverage is not None:
-            assert close(one_place.coverage, other_place.coverage, 1e-4)
-    cleared, uncleared = (find_clearing(WORLD, starts, Settings(), how) for how in (AUTO, SAMPLED))
-    assert not cleared.engine
-    assert uncleared.engine
-    for one_gain, other_gain in zip(cleared.options, uncleared.options, strict=True):
-        assert one_gain.hits == pytest.approx(other_gain.hits, abs=0.05)
-        assert close(one_gain.unknown.cells, other_gain.unknown.cells, 0.02)
-        if other_gain.known is not None and one_gain.known is not None:
-            assert close(one_gain.known.cells, other_gain.known.cells, 0.02)
+    starts, ladders = place_starts(WORLD, robots)[0], Ladders((0.5,), (5.0, 20.0), (0.5,))
     goal = make_goal(0.99, None, False, most=robots)
-    sizes = [find_size(WORLD, Settings(), goal, how) for how in (AUTO, SAMPLED)]
-    for one_point, other_point in zip(*(size.points for size in sizes), strict=True):
-        if one_point.coverage is not None and other_point.coverage is not None:
-            assert one_point.chance is not None and other_point.chance is not None
-            assert close(one_point.coverage, other_point.coverage, 1e-4)
-            assert close(one_point.chance, other_point.chance, 1e-4)
+
+    def both(find: Callable[[RolloutChoices], Any], listed: str) -> list[tuple[Any, Any]]:
+        """What an answer lists, exact and sampled."""
+        exact, rolled = find(AUTO), find(SAMPLED)
+        assert listed != "options" or (not exact.engine and rolled.engine)
+        return list(zip(getattr(exact, listed), getattr(rolled, listed), strict=True))
+
+    exact, rolled = (find_front(WORLD, starts, Settings(), how, ladders=ladders) for how in (AUTO, SAMPLED))
+    known = {point.setting: point for point in exact.points}
+    pairs = [(known[point.setting], point) for point in rolled.points if point.setting in known]
+    assert len(pairs) > 4
+    for one, other in pairs:
+        assert one.exact and other.exact == (other.losses.mean == 0)
+        assert close(one.time, other.time, 0.1) and one.least >= other.least - 1e-4 and one.most <= other.most + 1e-4
+        assert close(one.losses, other.losses, 1e-4)
+    pairs += both(lambda how: find_starts(WORLD, robots, Settings(), how, depot=True), "places")
+    sizes = both(lambda how: find_size(WORLD, Settings(), goal, how), "points")
+    for one, other in pairs + sizes:
+        if one.coverage is not None and other.coverage is not None:
+            assert close(one.coverage, other.coverage, 1e-4)
+    assert all(close(one.chance, other.chance, 1e-4) for one, other in sizes if one.chance and other.chance)
+    for one, other in both(lambda how: find_clearing(WORLD, starts, Settings(), how), "options"):
+        assert one.hits == pytest.approx(other.hits, abs=0.05) and close(one.unknown.cells, other.unknown.cells, 0.02)
+        if other.known is not None and one.known is not None:
+            assert close(one.known.cells, other.known.cells, 0.02)
 
 
 def test_value_is_known_too() -> None:
@@ -220,71 +198,51 @@ def test_value_is_known_too() -> None:
 def test_what_is_sampled_is_put_right_by_its_luck() -> None:
     """Means, value and differences: nearer to the exact ones than their own rollouts, and closer intervals."""
     valued = WORLD.with_values(np.arange(196.0).reshape(14, 14))
-    starts = place_starts(valued, 3)[0]
-    plans = [make_plan(valued, starts, Settings(policy=policy)) for policy in ("mrac", "per_cell")]
+    plans = [mrac.plan(valued, 3, policy=policy) for policy in ("mrac", "per_cell")]
     one, other = (Trial(valued, plan, AUTO).sample(0, 4096) for plan in plans)
-    plain = replace(one, seed=None)
+    plain, apart = replace(one, seed=None), one.ahead(other, "value")
     assert one.mean("value").se < 0.8 * plain.mean("value").se
-    apart, raw = one.ahead(other, "value"), plain.ahead(replace(other, seed=None), "value")
-    assert apart.se < raw.se
-    exact = [Trial(valued, plan, AUTO).known() for plan in plans]
-    assert exact[0] is not None and exact[1] is not None
-    assert close(exact[0].mean("value"), one.mean("value"), 1e-4)
-    assert close(exact[0].ahead(exact[1], "value"), apart, 2e-4)
-    assert close(exact[0].ahead(exact[1], "visited"), one.ahead(other, "visited"), 0.04)
+    assert apart.se < plain.ahead(replace(other, seed=None), "value").se
+    exact, by = (Trial(valued, plan, AUTO).known() for plan in plans)
+    assert close(exact.mean("value"), one.mean("value"), 1e-4) and close(exact.ahead(by, "value"), apart, 2e-4)
+    assert close(exact.ahead(by, "visited"), one.ahead(other, "visited"), 0.04)
     few = one.__class__(one.tally, one.results, None)
     assert few.ahead(other, "visited").se >= one.ahead(other, "visited").se
 
 
 def test_how_long_exact_values_are_looked_for() -> None:
-    starts = place_starts(WORLD, 3)[0]
-    trial = Trial(WORLD, make_plan(WORLD, starts, Settings()), AUTO)
-    assert trial.known(1e-4) is None
-    assert trial.known() is not None
-    assert Trial(WORLD, trial.plan, SAMPLED).known() is None
-    clear = Trial(World.create(np.zeros((3, 4))), make_plan(World.create(np.zeros((3, 4))), [[0, 0]]), SAMPLED)
-    assert clear.known() is not None
+    safe, plan = World.create(np.zeros((3, 4))), mrac.plan(WORLD, 3)
+    trial = Trial(WORLD, plan, AUTO)
+    assert trial.known(1e-4) is None and trial.known() is not None
+    assert Trial(WORLD, plan, SAMPLED).known() is None
+    assert Trial(safe, make_plan(safe, [[0, 0]]), SAMPLED).known() is not None
     quick = find_starts(WORLD, 3, Settings(), replace(AUTO, exact=0.001), depot=True)
     assert all(place.rollouts for place in quick.simulated)
 
 
-def test_robots_that_wear_and_differ(capsys: pytest.CaptureFixture[str], tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_robots_that_wear_and_differ(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """By starts and clear too; exact and sampled alike, in Python and on the command line."""
     bears = {"weibull_shape": 2.0, "hazard_multiplier": (1.0, 3.0)}
-    for search in (
-        lambda how: mrac.starts(WORLD, 2, candidates=[[0, 0], [0, 5], [13, 13]], exact=how, **bears),
-        lambda how: mrac.threats(WORLD, 2, remove=1, exact=how, **bears),
+    for search, listed, figure, slack in (
+        (partial(mrac.starts, WORLD, 2, candidates=[[0, 0], [0, 5], [13, 13]]), "places", "coverage", 1e-4),
+        (partial(mrac.threats, WORLD, 2, remove=1), "options", "unknown", 0.02),
     ):
-        exact, rolled = search("auto"), search("never")
-        assert exact.engine == ""
-        assert rolled.engine
+        exact, rolled = (search(exact=how, **bears) for how in ("auto", "never"))
+        assert exact.engine == "" and rolled.engine
         assert any("screened without Weibull shape" in note for note in exact.notes)
-        if isinstance(exact.to_json().get("gain"), dict) and "threats" in exact.to_json():
-            for one, other in zip(exact.options, rolled.options, strict=True):
-                assert close(one.unknown.cells, other.unknown.cells, 0.02)
-        else:
-            for one, other in zip(exact.places, rolled.places, strict=True):
-                assert close(one.coverage, other.coverage, 1e-4)
-    front = mrac.front(WORLD, 2, robot_values=[8], risk_caps=[], **bears)
-    plain = mrac.front(WORLD, 2, robot_values=[8], risk_caps=[])
+        for pair in zip(getattr(exact, listed), getattr(rolled, listed), strict=True):
+            one, other = (getattr(each, figure) for each in pair)
+            assert close(one, other, slack) if listed == "places" else close(one.cells, other.cells, slack)
+    asked = {"robot_values": [8], "risk_caps": []}
+    plain, front = mrac.front(WORLD, 2, **asked), mrac.front(WORLD, 2, **asked, **bears)
     assert front.points[0].coverage.mean != plain.points[0].coverage.mean
-    sampled = mrac.front(WORLD, 2, robot_values=[8], risk_caps=[], exact="never", rollouts=2000)
     truth = {point.setting: point for point in plain.points}
+    sampled = mrac.front(WORLD, 2, **asked, exact="never", rollouts=2000)
     same = [point for point in sampled.points if point.setting in truth]
-    assert same
-    assert all(close(truth[point.setting].coverage, point.coverage, 1e-4) for point in same)
+    assert same and all(close(truth[point.setting].coverage, point.coverage, 1e-4) for point in same)
     WORLD.save(tmp_path / "world.npz")
-    words = [
-        "starts",
-        str(tmp_path / "world.npz"),
-        "--robots",
-        "2",
-        "--weibull-shape",
-        "2",
-        "--hazard-multiplier",
-        "1,3",
-    ]
-    assert answer_of(capsys, *words)["exact"] is True
+    words = f"starts {tmp_path}/world.npz --robots 2 --weibull-shape 2 --hazard-multiplier 1,3"
+    assert answer_of(capsys, *words.split())["exact"] is True
 
 
 def test_what_an_exact_tree_knows_of_cells_is_shown() -> None:
@@ -355,23 +313,19 @@ def test_all_roll_out_the_same_ids_and_the_best_comes_through(room: int) -> None
     asked: list[tuple[int, int, int]] = []
     made: list[int] = []
 
-    def make(contender: int):  # type: ignore[no-untyped-def]
+    def make(contender: int) -> Fake:
         made.append(contender)
         return Fake(asked, contender)
 
     race = Halving([partial(make, contender) for contender in range(9)], 800, room)
     race.run()
-    assert (
-        race.best == 8
-        and sorted(race.runs[contender].rollouts for contender in range(9)) == [100] * 4 + [200] * 2 + [400] + [800] * 2
-    )
-    assert race.rolled == sum(count for _, _, count in asked)
+    rollouts = sorted(race.runs[contender].rollouts for contender in range(9))
+    assert race.best == 8 and rollouts == [100] * 4 + [200] * 2 + [400] + [800] * 2
+    assert race.rolled == sum(count for _, _, count in asked) and (len(made) == 9) == (room == 64)
     for contender in range(9):
         parts = [(start, count) for who, start, count in asked if who == contender]
         assert [start for start, _ in parts] == np.cumsum([0] + [count for _, count in parts])[:-1].tolist()
-    assert (len(made) == 9) == (room == 64)
-    again = race.confirm(8)
-    assert again.rollouts == 800 and asked[-1] == (8, 800, 800)
+    assert race.confirm(8).rollouts == 800 and asked[-1] == (8, 800, 800)
     for contender in range(8):
         low, high = race.behind(contender)
         assert low < 2 * (8 - contender) / CELLS_HALVING < high

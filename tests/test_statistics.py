@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import reduce
@@ -22,6 +23,7 @@ from analysis.comparison import compare, make_side
 from analysis.evaluation.evaluate import evaluate, half_width, until_enough
 from analysis.evaluation.figures import Coverage, Covered
 from analysis.sampling import RolloutChoices, Stage, make_engine_for, make_roll_out
+from analysis.statistics import variance_reduction
 from analysis.statistics.estimates import (
     FEW,
     FIRST_LOOK,
@@ -35,19 +37,7 @@ from analysis.statistics.estimates import (
     quantiles,
     sample_of,
 )
-from analysis.statistics.variance_reduction import (
-    LEAST,
-    Paired,
-    complete_chance,
-    controlled,
-    difference,
-    expected_pieces,
-    known_between,
-    of_means,
-    of_tally,
-    of_values,
-    tally_mean,
-)
+from analysis.statistics.variance_reduction import LEAST, Paired, difference, of_tally, of_values, tally_mean
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import longest_mission, longest_run
 from planner.errors import UsageError
@@ -59,7 +49,6 @@ from planner.rollouts.threshold_classes import CLASSES_A_NAT, COLUMNS, classes_b
 from planner.settings import Settings
 from planner.simulator.thresholds import UNIT
 from planner.tally import Tally
-from planner.world.start_rule import place_starts
 from planner.world.world import World, load_world_file
 
 # Means, intervals and quantiles of histograms against SciPy and against their own promise.
@@ -67,25 +56,21 @@ from planner.world.world import World, load_world_file
 
 def test_mean_and_standard_error_are_scipy_s() -> None:
     counts = np.array([3, 0, 5, 7, 1])
-    sample = np.repeat(np.arange(5), counts)
-    known = mean_estimate(counts, 0.25)
-    assert known.mean == pytest.approx(sample.mean() * 0.25)
-    assert known.se == pytest.approx(stats.sem(sample) * 0.25)
+    sample, known = np.repeat(np.arange(5), counts), mean_estimate(counts, 0.25)
+    assert (known.mean, known.se) == pytest.approx((sample.mean() * 0.25, stats.sem(sample) * 0.25))
 
 
 def test_large_counts_stay_exact() -> None:
     counts = np.zeros(50_001, dtype=np.int64)
     counts[[49_999, 50_000]] = 2**31
-    assert mean_estimate(counts, 1.0).mean == 49_999.5
-    assert mean_estimate(counts, 1.0).se == pytest.approx(0.5 / np.sqrt(2.0**32), rel=1e-6)
+    known = mean_estimate(counts, 1.0)
+    assert known.mean == 49_999.5 and known.se == pytest.approx(0.5 / np.sqrt(2.0**32), rel=1e-6)
 
 
 def test_interval_does_not_collapse_without_variance() -> None:
-    counts = np.array([0, 0, 4096])
-    known = mean_estimate(counts, 0.5)
-    assert (known.mean, known.se) == (1.0, 0.0)
+    known = mean_estimate(np.array([0, 0, 4096]), 0.5)
     chance = -np.log(0.025) / 4096  # of what was not seen in 4096 rollouts, at 97.5 %
-    assert known.ci95 == (pytest.approx(1 - chance), 1.0)
+    assert (known.mean, known.se, known.ci95) == (1.0, 0.0, (pytest.approx(1 - chance), 1.0))
     assert known.half_width == pytest.approx(chance)
 
 
@@ -120,23 +105,18 @@ def test_intervals_of_all_or_nothing_hold_as_often_as_they_say(n: int) -> None:
         assert np.mean(often) < 0.96  # nor much more often than they say, where there is enough to see
 
 
-@pytest.mark.parametrize("jump", ["geometric", "uniform", "37"])
+SIZES = {"geometric": 0.95 ** np.arange(300), "uniform": np.ones(300), "37": np.arange(300) == 36}
+"""How often an event costs 1, 2, ... cells."""
+
+
+@pytest.mark.parametrize("jump", SIZES)
 def test_intervals_of_rare_events_of_any_size_hold_as_often_as_they_say(jump: str) -> None:
     """1,000 samples of 4096 rollouts in which an event, expected 0.3 .. 100 times, costs cells; within 2 se."""
-    most = 300
-    sizes = np.zeros(most + 1)
-    if jump == "geometric":
-        sizes[1:] = 0.95 ** np.arange(most)
-    elif jump == "uniform":
-        sizes[1:] = 1.0
-    else:
-        sizes[37] = 1.0
-    sizes /= sizes.sum()
-    draw = np.random.default_rng(7)
+    sizes, draw = np.append(0.0, SIZES[jump] / SIZES[jump].sum()), np.random.default_rng(7)
     for expected in (0.3, 1, 3, 6, 12, 25, 100):
         chance = sizes * expected / 4096
         chance[0] += 1 - expected / 4096
-        held, _ = held_by(draw.multinomial(4096, chance, 1000), chance @ np.arange(most + 1))
+        held, _ = held_by(draw.multinomial(4096, chance, 1000), chance @ np.arange(301))
         assert held.mean() >= 0.944 - 2 * np.sqrt(0.944 * 0.056 / 1000), expected
 
 
@@ -182,16 +162,14 @@ def stops(loop: Literal["open", "closed"], repeats: int) -> tuple[float, set[int
     threat[1:3, 1:4], threat[3, 4] = 0.15, 0.3
     world = World.create(threat)
     plan = make_plan(world, [[0, 0], [0, 4]])
-    exact = open_loop_exact(plan, world)
-    truth = exact.visited / 20 if loop == "open" else closed_loop_exact(plan, world).visited / 20
+    truth = (open_loop_exact if loop == "open" else closed_loop_exact)(plan, world).visited / 20
     engine = make_engine_for(world, plan, RolloutChoices(loop=loop))
     drawn = samples(engine, 41 + 2 * repeats, 0 if loop == "closed" else None)
     precision = float(np.median([half_width(tally) for tally in islice(drawn, 41)]))
     choices, held, lengths = RolloutChoices(precision=precision), 0, set()
     for first, more in zip(drawn, drawn, strict=True):
         stages = (Stage(tally, "numba", 0.0, 0.0) for tally in (first, first + more))
-        for stage in until_enough(stages, choices, lambda *told: None):
-            last = stage
+        (last,) = deque(until_enough(stages, choices, lambda *told: None), maxlen=1)
         estimate = tally_mean(last.tally, "visited", 1.0 / last.tally.accessible)
         assert estimate.half_width < precision
         held += estimate.ci95[0] <= truth <= estimate.ci95[1]
@@ -200,20 +178,15 @@ def stops(loop: Literal["open", "closed"], repeats: int) -> tuple[float, set[int
 
 
 @pytest.mark.parametrize(
-    ("loop", "repeats"),
-    [
-        ("open", 500),
-        pytest.param("open", 10_000, marks=pytest.mark.slow),
-        pytest.param("closed", 10_000, marks=pytest.mark.slow),
-    ],
+    "loop, repeats",
+    [("open", 500), *(pytest.param(loop, 10_000, marks=pytest.mark.slow) for loop in ("open", "closed"))],
 )
 def test_intervals_hold_where_precision_decides_when_to_stop(loop, repeats: int) -> None:
     """About half of the runs stop at the first look, when their interval happens to be narrow enough."""
     held, lengths, se = stops(loop, repeats)
     assert lengths == {FIRST_LOOK, 2 * FIRST_LOOK}
     assert held <= 0.95 + 3 * se or loop == "closed"  # which allows for rare events that luck hides
-    assert held >= 0.95 - 3 * se
-    assert repeats < 10_000 or held >= 0.944
+    assert held >= max(0.95 - 3 * se, 0.944 * (repeats == 10_000))
 
 
 def test_what_is_made_for_one_seed_rolls_out_no_other() -> None:
@@ -229,9 +202,8 @@ def test_what_is_made_for_one_seed_rolls_out_no_other() -> None:
 
 def test_quantiles_are_numpy_s_inverted_cdf() -> None:
     counts = np.array([0, 4, 0, 1, 5, 2])
-    sample = np.repeat(np.arange(6), counts)
     for q in (0.05, 0.1, 1 / 3, 0.5, 0.83, 0.95, 1.0):
-        assert quantile(counts, q) == np.quantile(sample, q, method="inverted_cdf")
+        assert quantile(counts, q) == np.quantile(np.repeat(np.arange(6), counts), q, method="inverted_cdf")
 
 
 def test_coverage_is_told_in_fractions_of_the_accessible_cells() -> None:
@@ -282,18 +254,15 @@ def test_quantiles_of_few_rollouts_are_left_out() -> None:
     assert [np.isnan(value) for value in known[58].values()] == [True, False, True] and known[5][0.5] == 1
     assert set(known[59].values()) == {1} == set(quantiles(np.array([0, 1]), 1.0, certain=True).values())
     answer = mrac.evaluate(World.create([[0, 0.2, 0]]), 1, rollouts=5, exact="never", band=False, advice=False)
-    assert "% of runs" not in str(answer).splitlines()[0] and "5 %" not in str(answer).splitlines()[1]
+    first, second, *_ = str(answer).splitlines()
     told = answer.to_json()["coverage"]["visited"]
-    assert told["quantiles"]["0.05"] is None
-    chances = {x: answer.tally.visited[int(np.ceil(3 * x)) :].sum() / 5 for x in (0.5, 0.75, 0.9, 0.95, 0.99, 1.0)}
-    assert {share: chance["mean"] for share, chance in told["at_least"].items()} == {
-        f"{x:g}": chances[x] for x in chances
-    }
+    assert "% of runs" not in first and "5 %" not in second and told["quantiles"]["0.05"] is None
+    chances = {f"{x:g}": answer.tally.visited[int(np.ceil(3 * x)) :].sum() / 5 for x in (0.5, 0.75, 0.9, 0.95, 0.99, 1)}
+    assert {share: chance["mean"] for share, chance in told["at_least"].items()} == chances
 
 
 def test_looks_double() -> None:
-    assert looks()[:4] == [1024, 2048, 4096, 8192]
-    assert looks()[-1] == 2**32
+    assert looks()[:4] == [1024, 2048, 4096, 8192] and looks()[-1] == 2**32
 
 
 # Differences on common luck: exact sums, and intervals that hold as often as they say.
@@ -318,11 +287,14 @@ def test_sums_are_those_of_the_rollouts_however_they_are_added() -> None:
 
 def test_the_sums_know_the_third_moment_of_every_combination() -> None:
     x, y = draws(1000)
-    apart = 2.0 * y - 0.5 * x
-    sample = Paired.of(x, y).sample(-0.5, 2.0)
-    assert sample.scatter == pytest.approx(((apart - apart.mean()) ** 2).sum())
-    assert sample.lean == pytest.approx(((apart - apart.mean()) ** 3).sum(), rel=1e-6)
+    apart, sample = 2.0 * y - 0.5 * x, Paired.of(x, y).sample(-0.5, 2.0)
+    off = apart - apart.mean()
+    assert (sample.scatter, sample.lean) == (pytest.approx((off**2).sum()), pytest.approx((off**3).sum(), rel=1e-6))
     assert Paired.of(x, x).sample(-1.0, 1.0).scatter == 0
+    found = difference(Paired.of(x, y), 0.5, 2.0, 80.0).estimate
+    assert (found.mean, found.se) == pytest.approx((apart.mean(), apart.std(ddof=1) / np.sqrt(1000)))
+    unseen = 40.0 * -np.log(0.025) / 1000  # no rollout differed: the rule of three
+    assert difference(Paired.of(x, x), 1.0, 1.0, 40.0).estimate.ci95 == pytest.approx((-unseen, unseen))
 
 
 def test_a_difference_seen_in_few_rollouts_holds_as_often_as_it_says() -> None:
@@ -334,16 +306,6 @@ def test_a_difference_seen_in_few_rollouts_holds_as_often_as_it_says() -> None:
     for expected in np.geomspace(0.1, 100, 60):
         chance = stats.binom.pmf(events, n, expected / n)
         assert chance[(low <= expected / n) & (expected / n <= high)].sum() >= 0.944
-
-
-def test_a_difference_is_that_of_the_rollouts() -> None:
-    x, y = draws(1000)
-    found = difference(Paired.of(x, y), 0.5, 2.0, 80.0)
-    apart = 2.0 * y - 0.5 * x
-    assert found.estimate.mean == pytest.approx(apart.mean())
-    assert found.estimate.se == pytest.approx(apart.std(ddof=1) / np.sqrt(1000))
-    unseen = 40.0 * -np.log(0.025) / 1000  # no rollout differed: the rule of three
-    assert difference(Paired.of(x, x), 1.0, 1.0, 40.0).estimate.ci95 == pytest.approx((-unseen, unseen))
 
 
 def test_the_interval_of_a_difference_holds_as_often_as_it_says() -> None:
@@ -367,8 +329,7 @@ FIGURES = ("visited", "survived", "time", "alive", "complete")
 
 def engine_of(world: World, robots: int, policy: str = "mrac", seed: int = 0) -> Engine:
     """Of the closed loop by tolerance."""
-    plan = make_plan(world, place_starts(world, robots)[0], Settings(policy=policy))
-    return make_engine(plan, world, Rolling(seed=seed), "numba")
+    return make_engine(mrac.plan(world, robots, policy=policy), world, Rolling(seed=seed), "numba")
 
 
 def broken(total: NDArray[np.float64], robots: int) -> NDArray[np.float64]:
@@ -381,7 +342,7 @@ def broken(total: NDArray[np.float64], robots: int) -> NDArray[np.float64]:
 def fitted(y: NDArray, total: NDArray[np.float64], robots: int) -> tuple[float, float, float]:
     """Least squares over rollouts: what y is where all pieces of the line are as expected, with its standard error;
     the residual variance."""
-    pieces = np.column_stack([np.ones(len(y)), broken(total, robots) - expected_pieces(robots)])
+    pieces = np.column_stack([np.ones(len(y)), broken(total, robots) - variance_reduction.expected_pieces(robots)])
     found, residual, *_ = np.linalg.lstsq(pieces, y, rcond=None)
     variance = float(residual[0]) / (len(y) - pieces.shape[1])
     return float(found[0]), float(np.sqrt(variance * np.linalg.inv(pieces.T @ pieces)[0, 0])), variance
@@ -398,7 +359,7 @@ def test_classes_are_of_the_tolerances(start: int, robots: int) -> None:
 def test_what_is_expected_of_a_class_is_what_is_met(robots: int) -> None:
     """Of 100,000 teams, within 5 standard errors; and close to what is known of the total itself."""
     middle = (classes_by_threshold(1, 0, 100_000, robots) + 0.5) / CLASSES_A_NAT
-    met, known = broken(middle, robots), expected_pieces(robots)
+    met, known = broken(middle, robots), variance_reduction.expected_pieces(robots)
     assert (abs(met.mean(axis=0) - known) <= 5 * met.std(axis=0) / np.sqrt(len(met))).all()
     assert known[0] == pytest.approx(0.0, abs=0.021) and known[3] == pytest.approx(16 * above_median(robots), rel=0.02)
 
@@ -424,10 +385,8 @@ def test_means_and_errors_are_the_regression_s() -> None:
     tally, results = run_with_threshold_sums(engine_of(load_world_file(SCATTERED), 8), 0, 0, 2048)
     total = (classes_by_threshold(0, 0, 2048, 8) + 0.5) / CLASSES_A_NAT
     for figure in FIGURES[:3]:
-        y = getattr(results, figure).astype(float)
+        y, found = getattr(results, figure).astype(float), of_tally(tally, figure)
         mean, error, variance = fitted(y, total, 8)
-        found = of_tally(tally, figure)
-        assert found is not None
         assert found.mean == pytest.approx(mean, rel=1e-9)
         assert found.sample.se == pytest.approx(error, rel=1e-7)  # with that of the slopes
         assert found.gain == pytest.approx((y.var(ddof=1) / 2048) / found.sample.se**2)
@@ -442,10 +401,10 @@ def test_a_figure_that_the_luck_tells_is_known() -> None:
     classes = np.array([4, 12, 20, 28, 36, 44, 52, 60, 80, 90])
     by_class, y = np.zeros(96, dtype=np.int64), 2 * np.arange(96) + 2
     by_class[classes] = [30, 50, 300, 200, 200, 150, 150, 100, 10, 20]
-    found = controlled(by_class, (by_class * y).astype(float), sample_of(y, by_class), 4)
+    found = variance_reduction.controlled(by_class, (by_class * y).astype(float), sample_of(y, by_class), 4)
     assert found.mean == pytest.approx(16 * 4 + 1, abs=16 * 0.005) and found.gain > 1e9
     assert found.weights == pytest.approx((16,) * 6, abs=1e-9)
-    alike = controlled(by_class, 5.0 * by_class, sample_of(np.array([5]), np.array([1210])), 4)
+    alike = variance_reduction.controlled(by_class, 5.0 * by_class, sample_of(np.array([5]), np.array([1210])), 4)
     assert (alike.mean, alike.gain, alike.sample.se) == (5, 1, 0)
 
 
@@ -455,7 +414,7 @@ def test_below_so_many_rollouts_and_without_the_sums_it_is_the_plain_mean() -> N
     assert tally_mean(few, "visited") == mean_estimate(few.visited, 1.0)
     half = run_with_threshold_sums(engine, 0, 0, LEAST)[0] + engine.tally(LEAST, LEAST)
     assert tally_mean(half, "time", 0.5, 10_000) == mean_estimate(half.time, 0.5, 10_000)
-    assert complete_chance(half) == proportion(int(half.outcomes[0]), half.rollouts)
+    assert variance_reduction.complete_chance(half) == proportion(int(half.outcomes[0]), half.rollouts)
 
 
 def test_what_was_not_seen_counts_as_without_the_control() -> None:
@@ -470,7 +429,7 @@ def test_what_was_not_seen_counts_as_without_the_control() -> None:
 
 def estimates(tally: Tally) -> list[Estimate]:
     """Of all five figures."""
-    return [*(tally_mean(tally, figure) for figure in FIGURES[:4]), complete_chance(tally)]
+    return [*(tally_mean(tally, figure) for figure in FIGURES[:4]), variance_reduction.complete_chance(tally)]
 
 
 def held(world: World, robots: int, policy: str, seeds: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -513,33 +472,27 @@ def test_evaluate_goes_by_it(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_the_deadline_s_and_other_threats_have_it_too() -> None:
     world = load_world_file(CONTIGUOUS)
-    plan = make_plan(world, place_starts(world, 8)[0])
-    choices = RolloutChoices(rollouts=2048, deadline=60)
-    answer = evaluate(world, plan, choices, threat_scale=(0.5,))
+    answer = evaluate(world, mrac.plan(world, 8), RolloutChoices(rollouts=2048, deadline=60), threat_scale=(0.5,))
     (scaled,), deadline = answer.outputs["threat_scale"].scaled, answer.outputs["deadline"]
-    for tally, mine, least in (
-        (scaled.tally, as_json(scaled)["coverage"]["visited"]["se"], 1.5),
-        (deadline.tally, as_json(deadline)["visited"]["se"], 1.0),
-    ):
+    for tally, figures, least in (
+        (scaled.tally, as_json(scaled)["coverage"], 1.5), (deadline.tally, as_json(deadline), 1.0)
+    ):  # fmt: skip
         plain = replace(tally, by_threshold=np.zeros(0, dtype=np.int64))
-        assert mine < tally_mean(plain, "visited", 1.0 / tally.accessible).se / least
+        assert figures["visited"]["se"] < tally_mean(plain, "visited", 1.0 / tally.accessible).se / least
 
 
 def test_differences_are_put_right_too() -> None:
     world = load_world_file(SCATTERED)
-    starts = place_starts(world, 8)[0]
-    plans = [make_plan(world, starts, Settings(policy=policy)) for policy in ("mrac", "per_cell")]
+    plans = [mrac.plan(world, 8, policy=policy) for policy in ("mrac", "per_cell")]
     answer = compare(*(make_side(world, plan, RolloutChoices(rollouts=4096)) for plan in plans))
-    sums = [sides.reshape(-1, len(COLUMNS)) for sides in answer.by_threshold]
-    engines = [make_engine(plan, world, Rolling(), "numba").results(0, 4096) for plan in plans]
-    y = (engines[1].visited - engines[0].visited) / answer.a.cells
+    a, b = (make_engine(plan, world, Rolling(), "numba").results(0, 4096).visited for plan in plans)
+    y, found = (b - a) / answer.a.cells, answer.difference("visited")
     mean, error, variance = fitted(y, (classes_by_threshold(0, 0, 4096, 8) + 0.5) / CLASSES_A_NAT, 8)
-    found = answer.difference("visited")
     assert found.estimate.mean == pytest.approx(mean, rel=1e-9)
     assert found.estimate.se == pytest.approx(error, rel=1e-7) and variance < y.var()
     apart = answer.mean(answer.b, "visited") - answer.mean(answer.a, "visited")
     assert apart == pytest.approx(found.estimate.mean, rel=1e-9)
-    assert found.gain > 10 and int(sums[0][:, 0].sum()) == 4096
+    assert found.gain > 10 and int(answer.by_threshold[0].reshape(-1, len(COLUMNS))[:, 0].sum()) == 4096
 
 
 KINDS = [f"{kind}-{side}" for kind in ("contiguous", "scattered") for side in ("20x20", "14x23")]
@@ -555,9 +508,7 @@ def test_intervals_hold_on_thirteen_worlds() -> None:
     """1,000 samples of each, five figures: no cell below .925, all together .945 or more."""
     found = [held(load_world_file(FOLDER / f"{name}.npz"), *team, 1000) for name, *team in WORLDS]
     cells = np.array([share for share, _ in found])
-    assert cells.shape == (13, 5)
-    assert cells.min() >= 0.925, cells
-    assert cells.mean() >= 0.945, cells
+    assert cells.shape == (13, 5) and cells.min() >= 0.925 and cells.mean() >= 0.945, cells
 
 
 # Components of variance against plain twins: variances from their definitions, errors by leaving one out at a time.
@@ -604,7 +555,7 @@ def test_of_groups_of_unequal_size_each_value_is_left_out_once(apart: float, siz
 def test_of_means_of_equally_many_each_group_is_left_out_once() -> None:
     draw = np.random.default_rng(31)
     values = draw.normal(size=(12, 40)) + draw.normal(size=12)[:, None]
-    found = of_means(values.mean(axis=1), values.var(axis=1, ddof=1), 40, 100.0)
+    found = variance_reduction.of_means(values.mean(axis=1), values.var(axis=1, ddof=1), 40, 100.0)
     assert is_deviation(found.within, *jackknife(lambda kept: float(values[kept].var(axis=1, ddof=1).mean()), 12))
 
     def between(kept: np.ndarray) -> float:
@@ -617,7 +568,7 @@ def test_of_means_of_equally_many_each_group_is_left_out_once() -> None:
 @pytest.mark.parametrize("all_of_them", [True, False])
 def test_of_means_that_are_exact_the_rest_of_the_scatter_is_luck(all_of_them: bool) -> None:
     means, counts = np.array([0.2, 0.4, 0.7, 0.5]), np.array([9, 20, 41, 17, 13])
-    found = known_between(means, all_of_them, counts)
+    found = variance_reduction.known_between(means, all_of_them, counts)
     values = np.repeat(np.arange(5) / 4, counts)
     if all_of_them:
         assert (found.between.mean, found.between.se) == (means.std(), 0)
@@ -675,27 +626,24 @@ def test_a_time_that_rare_losses_make_longer(rollouts: int, seeds: int) -> None:
     plan = mrac.plan(world, starts=ENDS)
     most = longest_run(world, plan, "closed")
     assert most == longest_mission(world, ENDS, Settings()) == 8 * 2 * 31 + 64
-    truth = mrac.evaluate(world, plan, rollouts=1, advice=False, band=False).closed
-    assert truth is not None and truth.time is not None
-    assert truth.time == pytest.approx(15.026, abs=5e-4)
+    truth = mrac.evaluate(world, plan, rollouts=1, advice=False, band=False).closed.time
+    assert truth == pytest.approx(15.026, abs=5e-4)
     engines = [make_engine(plan, world, Rolling(seed=seed), "numba") for seed in range(seeds)]
-    hold([mean_estimate(engine.tally(0, rollouts).time, 1.0, most) for engine in engines], truth.time)
+    hold([mean_estimate(engine.tally(0, rollouts).time, 1.0, most) for engine in engines], truth)
 
 
 def test_every_answer_s_time_reaches_so_far() -> None:
     """evaluate, front, size: none of 40 rollouts met the loss that makes missions longer; the interval knows it."""
-    world, quiet = row(31, 0.002), {"engine": "numba"}
-    sampled, plan = {"rollouts": 40, "exact": "never"}, mrac.plan(world, starts=ENDS)
-    evaluated = mrac.evaluate(world, plan, advice=False, band=False, **sampled, **quiet)
-    assert np.count_nonzero(evaluated.tally.time) == 1
-    points = mrac.front(world, starts=ENDS, losses=2.0, risk_caps=[], robot_values=[4.0], **sampled, **quiet).points
-    teams = mrac.size(World.create(world.threat, starts=ENDS), target=0.99, **sampled).points
+    world, sampled = row(31, 0.002).with_starts(ENDS), {"rollouts": 40, "exact": "never"}
+    plain = {"advice": False, "band": False, "engine": "numba"}
+    evaluated = mrac.evaluate(world, **sampled, **plain)
+    points = mrac.front(world, losses=2.0, risk_caps=[], robot_values=[4.0], engine="numba", **sampled).points
+    teams = mrac.size(world, target=0.99, **sampled).points
     times = [evaluated.figures.time, *(point.time for point in points if point.setting.deadline is None)]
     times += [point.time for point in teams if point.robots == 2 and point.time is not None]
-    assert len(times) >= 4
-    assert all(time.ci95[1] > time.mean + 1 for time in times)
-    assert evaluated.to_json()["time"]["ci95"][1] > 16
-    known = mrac.evaluate(world, plan, rollouts=40, advice=False, band=False, **quiet)
+    assert len(times) >= 4 and all(time.ci95[1] > time.mean + 1 for time in times)
+    assert np.count_nonzero(evaluated.tally.time) == 1 and evaluated.to_json()["time"]["ci95"][1] > 16
+    known = mrac.evaluate(world, rollouts=40, **plain)
     assert known.time.ci95 == (pytest.approx(15.026, abs=5e-4),) * 2
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from drawn_worlds import load, raster, world_file
+from drawn_worlds import fields, load, raster, world_file
 from matplotlib.path import Path as Outline
 from PIL import Image
 
@@ -30,13 +31,19 @@ from planner.world.world import World
 RULE = {"kind": "linear", "scale": 0.001}
 
 
-def ros_layer(folder: Path, values: np.ndarray, resolution: float, origin: list[float]) -> str:
-    """A ROS scale map with these values 0..100."""
-    Image.fromarray(np.rint(255 - values * 2.55).astype(np.uint8)).save(folder / "layer.png")
-    keys = {"image": "layer.png", "mode": "scale", "resolution": resolution, "origin": origin}
-    keys |= {"negate": 0, "occupied_thresh": 1.0, "free_thresh": 0.0}
-    (folder / "layer.yaml").write_text(yaml.safe_dump(keys))
-    return "layer.yaml"
+def ruled(kind: str, **keys: Any) -> dict[str, Any]:
+    """A raster of 6 x 9 pixels with such a rule."""
+    return {"raster": "r.npy", "rule": {"kind": kind} | keys}
+
+
+def laid(folder: Path, ground: np.ndarray, values: list, resolution: float, at: list[float], **keys: Any) -> np.ndarray:
+    """Threat on a map of 1 m cells under a ROS scale map with these values 0..100."""
+    Image.fromarray(np.rint(255 - np.array(values) * 2.55).astype(np.uint8)).save(folder / "layer.png")
+    about = {"image": "layer.png", "mode": "scale", "resolution": resolution, "origin": at}
+    about |= {"negate": 0, "occupied_thresh": 1.0, "free_thresh": 0.0}
+    (folder / "layer.yaml").write_text(yaml.safe_dump(about))
+    origin = keys.pop("origin", (0, 0, 0))
+    return load(folder, [{"layer": "layer.yaml"} | keys], map={"file": world_file(folder, ground, origin=origin)})
 
 
 VALUES = np.arange(54, dtype=np.float64).reshape(6, 9)
@@ -47,17 +54,13 @@ VALUES = np.arange(54, dtype=np.float64).reshape(6, 9)
     [
         ({"kind": "linear", "scale": 0.01}, VALUES * 0.01),
         ({"kind": "exposure", "rate": 0.02}, 1 - np.exp(-0.02 * VALUES)),
-        (
-            {"kind": "classes", "edges": [10, 20.5], "p": [0, 0.1, 0.3]},
-            np.where(VALUES < 10, 0, np.where(VALUES < 20.5, 0.1, 0.3)),
-        ),
+        ({"kind": "classes", "edges": [10, 20.5], "p": [0, 0.1, 0.3]}, 0.1 * (VALUES >= 10) + 0.2 * (VALUES >= 20.5)),
     ],
 )
 def test_rules(tmp_path: Path, rule: dict, expected: np.ndarray) -> None:
     threat = load(tmp_path, [{"raster": raster(tmp_path, VALUES), "rule": rule}])
-    assert np.isnan(threat[0, 1])
     free = ~np.isnan(threat)
-    assert threat[free] == pytest.approx(expected[free], abs=1e-7)
+    assert not free[0, 1] and threat[free] == pytest.approx(expected[free], abs=1e-7)
 
 
 def test_without_a_rule_values_are_probabilities_and_csv_works(tmp_path: Path) -> None:
@@ -102,20 +105,15 @@ def test_pixels_become_cells_by_the_largest_free_one(tmp_path: Path) -> None:
     values = np.zeros((6, 9))
     values[2:4, 2:4] = [[0.1, 0.2], [0.3, 0.05]]
     fine = load(tmp_path, [{"raster": raster(tmp_path, values)}], cell_size=2)
-    assert fine.shape == (3, 4)
-    assert fine[1, 1] == np.float32(0.3)
-    assert np.nansum(fine) == np.float32(0.3)
+    assert fine.shape == (3, 4) and fine[1, 1] == np.nansum(fine) == np.float32(0.3)
     coarse = load(tmp_path, [{"raster": raster(tmp_path, np.full((3, 4), 0.2))}], cell_size=2)
-    assert np.isnan(coarse[0, 0])
-    assert (coarse[1:] == np.float32(0.2)).all()
+    assert np.isnan(coarse[0, 0]) and (coarse[1:] == np.float32(0.2)).all()
 
 
 def test_a_layer_is_laid_over_the_map_by_both_origins(tmp_path: Path) -> None:
     # the map: 6 x 9 cells of 1 m with its lower-left corner at (10, 20); the layer: 2 m, at (12, 20), 2 x 3 pixels
-    ground = world_file(tmp_path, np.zeros((6, 9)), origin=(10, 20, 0))
-    values = np.array([[100, 0, 60], [20, 40, 0]])
-    source = {"layer": ros_layer(tmp_path, values, 2.0, [12, 20, 0]), "scale": 0.2}
-    threat = load(tmp_path, [source], map={"file": ground})
+    values = [[100, 0, 60], [20, 40, 0]]
+    threat = laid(tmp_path, np.zeros((6, 9)), values, 2.0, [12, 20, 0], scale=0.2, origin=(10, 20, 0))
     expected = np.zeros((6, 9))
     expected[2:6, 2:8] = np.kron(values, np.ones((2, 2))) * 0.2 / 100
     assert threat == pytest.approx(expected, abs=1e-6)
@@ -126,33 +124,24 @@ def test_a_layer_is_laid_over_the_map_by_both_origins(tmp_path: Path) -> None:
 def test_a_finer_layer_gives_its_largest_value(tmp_path: Path) -> None:
     values = np.zeros((4, 6))
     values[0, 1], values[3, 5] = 80, 40
-    source = {"layer": ros_layer(tmp_path, values, 0.5, [0, 0, 0]), "scale": 0.5}
-    threat = load(tmp_path, [source], map={"file": world_file(tmp_path, np.zeros((2, 3)))})
+    threat = laid(tmp_path, np.zeros((2, 3)), values, 0.5, [0, 0, 0], scale=0.5)
     assert threat == pytest.approx(np.array([[0.4, 0, 0], [0, 0, 0.2]]), abs=1e-6)
 
 
 def test_a_turned_layer(tmp_path: Path) -> None:
     # the layer's frame is turned by 90 degrees about (3, 0): its columns run along the map's y axis
-    values = np.array([[10, 20], [30, 40], [50, 60]])
-    source = {"layer": ros_layer(tmp_path, values, 1.0, [3, 0, math.pi / 2]), "scale": 1.0}
-    threat = load(tmp_path, [source], map={"file": world_file(tmp_path, np.zeros((2, 3)))})
+    threat = laid(tmp_path, np.zeros((2, 3)), [[10, 20], [30, 40], [50, 60]], 1.0, [3, 0, math.pi / 2], scale=1.0)
     assert threat == pytest.approx(np.array([[0.2, 0.4, 0.6], [0.1, 0.3, 0.5]]), abs=1e-6)
 
 
 def test_a_layer_that_would_kill_for_certain(tmp_path: Path) -> None:
-    source = {"layer": ros_layer(tmp_path, np.full((2, 3), 100), 1.0, [0, 0, 0])}
     with pytest.raises(ScenarioError, match="lower scale"):
-        load(tmp_path, [source], map={"file": world_file(tmp_path, np.zeros((2, 3)))})
+        laid(tmp_path, np.zeros((2, 3)), np.full((2, 3), 100), 1.0, [0, 0, 0])
 
 
 def test_sources_combine_with_each_other_and_with_the_maps_own(tmp_path: Path) -> None:
-    own = np.full((2, 3), 0.1)
-    own[0, 0] = np.nan
-    ground = {"file": world_file(tmp_path, own)}
-    sources = [
-        {"raster": raster(tmp_path, np.full((2, 3), 0.2))},
-        {"raster": raster(tmp_path, np.zeros((2, 3)), "z.npy")},
-    ]
+    ground = {"file": world_file(tmp_path, np.array([[np.nan, 0.1, 0.1], [0.1] * 3]))}
+    sources = [{"raster": raster(tmp_path, np.full((2, 3), p), f"{p}.npy")} for p in (0.2, 0.0)]
     assert load(tmp_path, sources, map=ground)[1, 2] == np.float32(1 - 0.9 * 0.8)
     assert load(tmp_path, sources, map=ground, combine="max")[1, 2] == np.float32(0.2)
     assert load(tmp_path, sources[1:], map=ground)[1, 2] == np.float32(0.1)
@@ -264,35 +253,17 @@ def test_generated_areas_and_levels_have_limits(tmp_path: Path) -> None:
 
 def test_points_at_the_centres(tmp_path: Path) -> None:
     frame = Frame((5, 8), 2.0, (1.0, -3.0, 0.4))
-    points = np.array([[4.0, 2.0, 0.5], [9.0, 4.0, 0.3], [-90.0, 5.0, 0.9]])
-    centres = frame.centres()
-    for kind in ("disc", "gaussian"):
-        expected = np.zeros(frame.shape)
+    points, centres = np.array([[4.0, 2.0, 0.5], [9.0, 4.0, 0.3], [-90.0, 5.0, 0.9]]), frame.centres()
+    for kind, far in (("disc", 3.0), ("gaussian", 9.0)):
+        passed = np.ones(frame.shape)
         for x, y, strength in points:
             distance = np.hypot(centres[..., 0] - x, centres[..., 1] - y)
-            if kind == "disc":
-                p = np.where(distance <= 3.0, strength, 0)
-            else:
-                p = np.where(distance <= 9.0, strength * np.exp(-(distance**2) / 18), 0)
-            expected = 1 - (1 - expected) * (1 - p)
+            p = strength * (np.exp(-(distance**2) / 18) if kind == "gaussian" else 1.0)
+            passed *= 1 - np.where(distance <= far, p, 0)
         things = [Thing("", "", *spread) for spread in point_spreads(points, kind, 3.0, frame)]
         found = combined(things, "product", frame.shape[0] * frame.shape[1]).reshape(frame.shape)
-        assert found == pytest.approx(expected, abs=1e-12)
-        assert expected.max() > 0.2
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "1,2,0.5\n3,4,0.25\n",
-        "x,y,strength\n1,2,0.5\n3,4,0.25\n",
-        "a,b,c\n1,2,0.5\n\n3,4,0.25\n",
-        "id,p,y_m,x_m\nfirst,0.5,2,1\nsecond,0.25,4,3\n",
-    ],
-)
-def test_points_files(tmp_path: Path, text: str) -> None:
-    (tmp_path / "p.csv").write_text(text)
-    assert read_points(tmp_path / "p.csv", Frame((9, 9), 1.0))[0].tolist() == [[1, 2, 0.5], [3, 4, 0.25]]
+        assert found == pytest.approx(1 - passed, abs=1e-12)
+        assert passed.min() < 0.8
 
 
 @pytest.mark.parametrize(
@@ -324,14 +295,6 @@ def test_broken_points_files(tmp_path: Path, text: str, names: str) -> None:
     with pytest.raises(MapError, match=re.escape(names)) as caught:
         read_points(tmp_path / "p.csv", Frame((9, 9), 1.0))
     assert "p.csv" in str(caught.value)
-
-
-def test_points_in_a_scenario_and_their_note(tmp_path: Path) -> None:
-    (tmp_path / "p.csv").write_text("2.5,2.5,0.5\n100,100,0.5\n")
-    source = {"points": "p.csv", "falloff": {"kind": "disc", "radius": 1}}
-    threat = load(tmp_path, [source])
-    assert np.argwhere(threat > 0).tolist() == [[2, 2], [3, 1], [3, 2], [3, 3], [4, 2]]
-    assert "threats[0]: 1 of 2 points lie off the map" in load_input(tmp_path / "scenario.yaml").notes
 
 
 SQUARE = [[1.2, 1.1], [7.3, 0.4], [8.1, 4.2], [3.3, 5.7], [1.2, 1.1]]
@@ -416,51 +379,65 @@ def test_a_crs_of_degrees_is_refused_and_one_of_metres_is_not(tmp_path: Path, na
     ],
 )
 def test_points_that_cannot_be_meant_are_refused(tmp_path: Path, text: str, names: str) -> None:
-    (tmp_path / "p.csv").write_text(text)
     with pytest.raises(InputError, match=re.escape(names)):
-        load(tmp_path, [{"points": "p.csv", "falloff": {"kind": "disc", "radius": 2}}])
+        pointed(tmp_path, text, 2)
 
 
-def test_points_off_the_map_that_reach_it_are_taken(tmp_path: Path) -> None:
-    (tmp_path / "p.csv").write_text("-1,3,0.5\n")
-    assert np.nansum(load(tmp_path, [{"points": "p.csv", "falloff": {"kind": "disc", "radius": 2}}])) > 0
-    (tmp_path / "p.csv").write_text("-50,3,0\n")
-    assert not np.nansum(load(tmp_path, [{"points": "p.csv", "falloff": {"kind": "disc", "radius": 2}}]))
+def pointed(folder: Path, text: str, radius: float = 1, kind: str = "disc") -> tuple[np.ndarray, Sequence[str]]:
+    """Threat and notes of a scenario with the points of this table."""
+    (folder / "p.csv").write_text(text)
+    threat = load(folder, [{"points": "p.csv", "falloff": {"kind": kind, "radius": radius}}])
+    return threat, load_input(folder / "scenario.yaml").notes
 
 
-def test_points_in_one_pixel_are_noted(tmp_path: Path) -> None:
-    (tmp_path / "p.csv").write_text("1.57549,2.13743,0.5\n1.57812,2.13901,0.5\n")
-    load(tmp_path, [{"points": "p.csv", "falloff": {"kind": "disc", "radius": 1}}])
-    assert (
-        "threats[0]: all 2 points lie in one pixel: are x and y in metres?"
-        in load_input(tmp_path / "scenario.yaml").notes
-    )
+def test_points_in_a_scenario_and_their_notes(tmp_path: Path) -> None:
+    threat, notes = pointed(tmp_path, "2.5,2.5,0.5\n100,100,0.5\n")
+    assert np.argwhere(threat > 0).tolist() == [[2, 2], [3, 1], [3, 2], [3, 3], [4, 2]]
+    assert "threats[0]: 1 of 2 points lie off the map" in notes
+    assert np.nansum(pointed(tmp_path, "-1,3,0.5\n", 2)[0]) > 0, "off the map, and reaches it"
+    assert not np.nansum(pointed(tmp_path, "-50,3,0\n", 2)[0])
+    notes = pointed(tmp_path, "1.57549,2.13743,0.5\n1.57812,2.13901,0.5\n")[1]
+    assert "threats[0]: all 2 points lie in one pixel: are x and y in metres?" in notes
+
+
+@pytest.mark.parametrize("radius", [1e300, 1e308, 1e-320, 1e10])
+@pytest.mark.parametrize("kind", ["disc", "gaussian"])
+def test_a_radius_that_cannot_be(tmp_path: Path, kind: str, radius: float) -> None:
+    with pytest.raises(ScenarioError, match=r"`threats\[0\]\.falloff\.radius` is .*1e\+09"):
+        pointed(tmp_path, "1,1,0.5\n", radius, kind)
+
+
+def test_points_beyond_the_world_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(MapError, match="line 2: x is '1e308'"):
+        pointed(tmp_path, "1,1,0.5\n1e308,1,0.5\n", 1e9)
 
 
 def test_shapes_beyond_the_limits_are_refused_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planner.world.points, "MAX_POINTS", 3)
-    monkeypatch.setattr(planner.world.vector_files, "MAX_CORNERS", 3)
     (tmp_path / "p.csv").write_text("1,2,0.5\n" * 4)
-    for source in (
-        {"points": "p.csv", "falloff": {"kind": "disc", "radius": 1}},
-        {"polygons": geojson(tmp_path, feature([SQUARE]))},
-    ):
-        with pytest.raises(MapError, match="at most 3"):
-            load(tmp_path, [source])
-    monkeypatch.setattr(planner.world.points, "MAX_BYTES", 30)
-    monkeypatch.setattr(planner.world.vector_files, "MAX_BYTES", 30)
-    for source in ({"points": "p.csv", "falloff": {"kind": "disc", "radius": 1}}, {"polygons": "a.geojson"}):
-        with pytest.raises(MapError, match=r"bytes; expected .* of at most 30"):
-            load(tmp_path, [source])
+    points = {"points": "p.csv", "falloff": {"kind": "disc", "radius": 1}}
+    polygons = {"polygons": geojson(tmp_path, feature([SQUARE]))}
+    for limits, most, said in ((("MAX_POINTS", "MAX_CORNERS"), 3, "at most 3"),
+                               (("MAX_BYTES",) * 2, 30, r"bytes; expected .* of at most 30")):  # fmt: skip
+        monkeypatch.setattr(planner.world.points, limits[0], most)
+        monkeypatch.setattr(planner.world.vector_files, limits[1], most)
+        for source in (points, polygons):
+            with pytest.raises(MapError, match=said):
+                load(tmp_path, [source])
 
 
 def test_a_polygon_between_the_centres_is_noted(tmp_path: Path) -> None:
     name = geojson(tmp_path, feature([[[1.6, 1.6], [1.9, 1.6], [1.9, 1.9]]]))
     assert not np.nansum(load(tmp_path, [{"polygons": name}]))
-    assert (
-        "threats[0]: features[0] holds no pixel's centre: no threat from it"
-        in load_input(tmp_path / "scenario.yaml").notes
-    )
+    notes = load_input(tmp_path / "scenario.yaml").notes
+    assert "threats[0]: features[0] holds no pixel's centre: no threat from it" in notes
+
+
+RINGS: list[Any] = [
+    [[1e308, 1e308], [-1e308, 1e308], [0, -1e308]], [["0", "0"], ["5", "0"], ["5", "5"]],
+    [[False, False], [True, False], [True, True]], [[0], [5], [5]], ["00", "50", "55"],
+    [[0, 0], [5, 0], [10**400, 5]], [[0, 0], [5, 0], [None, 5]], [{"x": 1, "y": 2}] * 3,
+]  # fmt: skip
+"""Coordinates that cannot be."""
 
 
 @pytest.mark.parametrize(
@@ -475,10 +452,11 @@ def test_a_polygon_between_the_centres_is_noted(tmp_path: Path) -> None:
         (feature([[[0, 0], [1, math.inf], [1, 1]]], 0.1), "three finite points"),
         (feature([0, 0], 0.1, "Point"), "'Point'"),
         ({"type": "Feature", "properties": [1]}, "properties"),
+        *((feature([ring], 0.5), "a.geojson: features[0]: wrong coordinates (a point is ") for ring in RINGS),
     ],
 )
 def test_broken_polygons(tmp_path: Path, wrong: dict, names: str) -> None:
-    with pytest.raises(MapError, match=re.escape(names)):
+    with pytest.raises(MapError, match=re.escape(names)) as caught:
         load(tmp_path, [{"polygons": geojson(tmp_path, wrong)}])
 
 
@@ -503,6 +481,10 @@ def test_coordinates_that_cannot_be(tmp_path: Path, ring: list) -> None:
 
 
 TABLES = [
+    ("1,2,0.5\n3,4,0.25\n", "", ""),
+    ("x,y,strength\n1,2,0.5\n3,4,0.25\n", "", ""),
+    ("a,b,c\n1,2,0.5\n\n3,4,0.25\n", "", ""),
+    ("id,p,y_m,x_m\nfirst,0.5,2,1\nsecond,0.25,4,3\n", "", ""),
     ("x;y;strength\n1;2;0.5\n3;4;0.25\n", "semicolons", "points"),
     ("x;y;strength\r\n1,0;2;0,5\r\n\r\n3;4;0,25\r\n", "semicolons", "commas"),
     ("1,0\t2\t0,5\n3\t4\t0,25\n", "tabs", "commas"),
@@ -511,21 +493,22 @@ TABLES = [
     ("x y strength\n1 2  0.5\n3   4 0.25\n", "spaces", "points"),
     ("x|y|strength\n1,000|2,000|5,0e-1\n3|4|0,250\n", "bars", "commas"),
 ]
+"""The same two points; separator and decimal sign that a note names."""
 
 
 @pytest.mark.parametrize(("text", "separator", "decimal"), TABLES)
-def test_points_between_other_separators(tmp_path: Path, text: str, separator: str, decimal: str) -> None:
+def test_points_files(tmp_path: Path, text: str, separator: str, decimal: str) -> None:
     (tmp_path / "p.csv").write_bytes(text.encode())
     found = read_points(tmp_path / "p.csv", Frame((9, 9), 1.0))
     assert found.places.tolist() == [[1, 2, 0.5], [3, 4, 0.25]]
     note = f"columns are read as separated by {separator}, numbers as written with decimal {decimal}"
-    assert found.notes == (note,)
+    assert found.notes == ((note,) if separator else ())
     np.save(tmp_path / "m.npy", np.zeros((9, 9)))
-    for key in ("threats", "value"):
-        (tmp_path / "s.yaml").write_text(
-            f"map: m.npy\n{key}:\n- {{points: p.csv, falloff: {{kind: disc, radius: 1}}}}\n"
-        )
-        assert f"{key}[0]: {note}" in load_input(tmp_path / "s.yaml").notes
+    for key in ("threats", "value") if separator else ():
+        notes = scenario(
+            tmp_path, **{"map": "m.npy", key: [{"points": "p.csv", "falloff": {"kind": "disc", "radius": 1}}]}
+        ).notes
+        assert f"{key}[0]: {note}" in notes
 
 
 def test_a_column_that_is_not_read_may_hold_anything(tmp_path: Path) -> None:
@@ -539,59 +522,44 @@ def test_a_column_that_is_not_read_may_hold_anything(tmp_path: Path) -> None:
 
 # Threats apart: a map without one of its polygons, points or sites is that of a scenario that never named it.
 
-FIELDS = [
-    ("north", 0.2, [1, 7, 6, 12]),
-    ("", 0.3, [4, 2, 9, 8]),
-    ("south", 0.2, [0, 0, 5, 3]),
-    ("", 0.1, [30, 30, 31, 31]),
-]
+FIELDS = [("north", 0.2, 1, 7, 6, 12), ("", 0.3, 4, 2, 9, 8), ("south", 0.2, 0, 0, 5, 3), ("", 0.1, 30, 30, 31, 31)]
 POINTS = [("well", 6.2, 7.4, 0.4), ("gate", 2.0, 2.0, 0.3), ("gate", 11.0, 3.0, 0.2), ("gate", 7.0, 7.0, 0.1)]
 
 
-def square(west: float, south: float, east: float, north: float) -> dict[str, Any]:
-    corners = [[west, south], [east, south], [east, north], [west, north], [west, south]]
-    return {"type": "Polygon", "coordinates": [corners]}
+def scenario(folder: Path, **said: Any) -> World:
+    (folder / "scenario.yaml").write_text(yaml.safe_dump(said))
+    return load_input(folder / "scenario.yaml")
 
 
-def world_of(folder: Path, fields: list, points: list, combine: str, cell_size: float) -> World:
+def world_of(folder: Path, named: list, points: list, combine: str, cell_size: float) -> World:
     """A scenario of a threatened map, points, a raster and fields, in this order."""
     rng = np.random.default_rng(5)
     own = np.where(rng.random((12, 14)) < 0.1, np.nan, np.where(rng.random((12, 14)) < 0.2, 0.05, 0.0))
     own[0, 0] = 0.0
     World.create(own).save(folder / "map.npz", force=True)
     np.save(folder / "raster.npy", rng.random((12, 14)) * (rng.random((12, 14)) < 0.3))
-    features = [{"properties": {"name": name, "p": p}, "geometry": square(*at)} for name, p, at in fields]
-    (folder / "fields.json").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
-    rows = ["name,x,y,strength", *(",".join(map(str, point)) for point in points)]
-    (folder / "points.csv").write_text("\n".join(rows))
-    sources: list[dict[str, Any]] = [{"raster": "raster.npy"}]
-    if points:
-        sources.insert(0, {"points": "points.csv", "falloff": {"kind": "gaussian", "radius": 2.5}})
-    if fields:
-        sources.append({"polygons": "fields.json"})
-    said = {"map": "map.npz", "cell_size": cell_size, "combine": combine, "threats": sources}
-    (folder / "scenario.yaml").write_text(yaml.safe_dump(said))
-    return load_input(folder / "scenario.yaml")
+    fields(folder / "fields.json", *named)
+    (folder / "points.csv").write_text("\n".join(["name,x,y,strength", *(",".join(map(str, one)) for one in points)]))
+    falloff = {"kind": "gaussian", "radius": 2.5}
+    sources = [{"points": "points.csv", "falloff": falloff}, {"raster": "raster.npy"}, {"polygons": "fields.json"}]
+    return scenario(folder, map="map.npz", cell_size=cell_size, combine=combine, threats=sources)
 
 
 @pytest.mark.parametrize(("combine", "cell_size"), [("product", 1.0), ("max", 1.0), ("product", 2.0), ("max", 2.0)])
 def test_a_world_without_one_is_that_of_a_scenario_without_it(tmp_path: Path, combine: str, cell_size: float) -> None:
     whole = world_of(tmp_path, FIELDS, POINTS, combine, cell_size)
-    sources = whole.sources
-    assert sources is not None
+    sources, changed = whole.sources, 0
     np.testing.assert_array_equal(sources.threat(), whole.threat)
     named = ["well", *(f"gate (line {line} of points.csv)" for line in (3, 4, 5))]
     assert list(sources.names) == [*named, "north", "features[1] of fields.json", "south", "features[3] of fields.json"]
-    changed = 0
     for thing in range(len(sources.names)):
-        points, fields = POINTS[:], FIELDS[:]
-        del (points if thing < 4 else fields)[thing % 4]
-        expected = world_of(tmp_path, fields, points, combine, cell_size).threat
+        points, named = POINTS[:], FIELDS[:]
+        del (points if thing < 4 else named)[thing % 4]
+        expected = world_of(tmp_path, named, points, combine, cell_size).threat
         np.testing.assert_array_equal(sources.without(thing).threat(), expected)
-        own = sources.alone(thing).reshape(whole.shape)
-        where = expected != np.where(np.isnan(expected), expected, whole.threat)
-        assert ((own > 0) | np.isnan(expected))[where].all()
-        changed += int((expected[~np.isnan(expected)] < whole.threat[~np.isnan(expected)]).any())
+        free, own = ~np.isnan(expected), sources.alone(thing).reshape(whole.shape)
+        assert (own > 0)[free & (expected != whole.threat)].all()
+        changed += int((expected < whole.threat)[free].any())
     assert changed >= 4
     two = world_of(tmp_path, [FIELDS[0], *FIELDS[2:]], POINTS[1:], combine, cell_size).threat
     np.testing.assert_array_equal(sources.without(0).without(5).threat(), two)
@@ -602,16 +570,13 @@ def test_observers_are_told_apart_and_a_map_alone_has_no_sources(tmp_path: Path)
 
     def seen(*sites: list[int]) -> World:
         keys = {"sites": list(sites), "height": 5, "range": 3, "p": 0.1}
-        said = {"map": {"elevation": "heights.npy", "resolution": 1.0}, "threats": [{"viewshed": keys}]}
-        (tmp_path / "seen.yaml").write_text(yaml.safe_dump(said))
-        return load_input(tmp_path / "seen.yaml")
+        return scenario(tmp_path, map={"elevation": "heights.npy", "resolution": 1.0}, threats=[{"viewshed": keys}])
 
     both = seen([1, 1], [5, 5])
-    assert both.sources is not None and both.sources.names == ("site [1, 1]", "site [5, 5]")
+    assert both.sources.names == ("site [1, 1]", "site [5, 5]")
     np.testing.assert_array_equal(both.sources.without(0).threat(), seen([5, 5]).threat)
     World.create(np.zeros((3, 3))).save(tmp_path / "map.npz")
-    assert load_input(tmp_path / "map.npz").sources is None
-    assert World.create(np.zeros((3, 3))).sources is None
+    assert load_input(tmp_path / "map.npz").sources is World.create(np.zeros((3, 3))).sources is None
 
 
 @pytest.mark.parametrize(
@@ -628,10 +593,8 @@ def test_kml_and_gpx_say_names_too(tmp_path: Path, name: str, text: str) -> None
     points = "".join(f'<trkpt lon="{lon}" lat="{lat}"/>' for lon, lat in corners)
     (tmp_path / name).write_text(text.format(tuples if name.endswith("kml") else points))
     World.create(np.zeros((9, 9)), cell_size=10.0).save(tmp_path / "map.npz")
-    said = {"map": "map.npz", "datum": {"latitude": 47.0, "longitude": 8.0}, "threats": [{"polygons": name, "p": 0.1}]}
-    (tmp_path / "s.yaml").write_text(yaml.safe_dump(said))
-    sources = load_input(tmp_path / "s.yaml").sources
-    assert sources is not None and sources.names == ("East field",)
+    threats, datum = [{"polygons": name, "p": 0.1}], {"latitude": 47.0, "longitude": 8.0}
+    assert scenario(tmp_path, map="map.npz", datum=datum, threats=threats).sources.names == ("East field",)
 
 
 # Threats by line of sight, and elevations.
@@ -685,9 +648,9 @@ def test_viewshed_on_the_cells_in_bands(tmp_path: Path) -> None:
     keys = {"sites": [[0, 0]], "bands": [[10, 0.3], [35, 0.1]], "height": 0}
     threat = viewshed(tmp_path, np.zeros((2, 6)), keys)
     assert threat == pytest.approx(np.array([[0.3, 0.3, 0.1, 0.1, 0, 0], [0.3, 0.1, 0.1, 0.1, 0, 0]]), abs=1e-7)
-    two = viewshed(tmp_path, np.zeros((4, 12)), {"sites": [[0, 0], [0, 1]], "range": 25, "p": 0.2}, cell_size=20)
-    assert two == pytest.approx(np.array([[0.36, 0.36, 0.2, 0, 0, 0], [0.2, 0.2, 0, 0, 0, 0]]), abs=1e-7)
     keys = {"sites": [[0, 0], [0, 1]], "range": 25, "p": 0.2}
+    two = viewshed(tmp_path, np.zeros((4, 12)), keys, cell_size=20)
+    assert two == pytest.approx(np.array([[0.36, 0.36, 0.2, 0, 0, 0], [0.2, 0.2, 0, 0, 0, 0]]), abs=1e-7)
     assert viewshed(tmp_path, np.zeros((4, 12)), keys, cell_size=20, combine="max").max() == np.float32(0.2)
 
 
@@ -724,18 +687,12 @@ def test_slopes_and_what_has_no_elevation_are_obstacles(tmp_path: Path) -> None:
     assert slope_degrees(plane, 10.0) == pytest.approx(np.full((5, 8), 45.0))
     assert slope_degrees(plane[:1], 10.0) == pytest.approx(np.zeros((1, 8)))
     assert slope_degrees(plane.T[:1], 10.0) == pytest.approx(np.full((1, 5), 45.0))
-    steep = np.zeros((5, 8))
-    steep[2, 2:] = 100
-    steep[0, 0] = np.nan
+    steep, obstacles = np.zeros((5, 8)), np.zeros((5, 8), dtype=bool)
+    steep[2, 2:], steep[0, 0] = 100, np.nan
     np.save(tmp_path / "dem.npy", steep)
-    free = ~np.isnan(load(tmp_path, [], map={"elevation": "dem.npy", "resolution": 10, "max_slope_deg": 30}))
-    assert np.argwhere(~free).tolist() == [
-        [0, 0],
-        *([1, c] for c in range(2, 8)),
-        [2, 1],
-        [2, 2],
-        *([3, c] for c in range(2, 8)),
-    ]
+    obstacles[[0, 2, 2], [0, 1, 2]] = obstacles[[1, 3], 2:] = True
+    found = load(tmp_path, [], map={"elevation": "dem.npy", "resolution": 10, "max_slope_deg": 30})
+    assert np.array_equal(np.isnan(found), obstacles)
 
 
 @pytest.mark.parametrize("value", [1e300, -3.4e38])
