@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from analysis.checking.check import MapCheck, Survey
     from analysis.comparison import Comparison, Side
     from analysis.evaluation.evaluate import Evaluation
-    from analysis.experiments.reproduction import Reproduction
     from analysis.mission_protocol import DrivenMission
     from analysis.policy_evaluation.leaderboard import Suite
     from analysis.policy_evaluation.policy_evaluation import PolicyEvaluation
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
     from analysis.recording.contents import RecordedOutcomes, RecordedRollout
     from analysis.recording.record import Pick, Recorded
     from analysis.recording.replay import Inspection, Replayed
+    from analysis.reproduction import Reproduction
     from analysis.sampling import Exactness, RolloutChoices
     from analysis.search.pareto import Front
     from analysis.search.start_positions import Starts
@@ -79,6 +79,7 @@ class PlannerOptions(TypedDict, total=False):
     weibull_shape: float | None
     hazard_multiplier: float | Sequence[float] | None
     return_to: ReturnTo
+    deliver_every: int | None
     recharge: int | None
     types: str | Sequence[str] | None
     steps_per_move: int | Sequence[int] | None
@@ -138,15 +139,29 @@ class OnePlanOptions(RolledOptions, total=False):
     seconds: float | None
 
 
-class FrontOptions(PlannerOptions, RolledOptions, total=False):
+class MetricOptions(TypedDict, total=False):
+    """The coverage that teams are compared by."""
+
+    metric: Literal["visited", "survived", "delivered"]
+
+
+class CompareOptions(OnePlanOptions, MetricOptions, total=False):
+    """Options of `compare`."""
+
+
+class FrontOptions(PlannerOptions, RolledOptions, MetricOptions, total=False):
     """Options of `front`, which varies the policy."""
 
 
 class SearchOptions(PolicyOptions, RolledOptions, total=False):
-    """Options of `starts` and `threats`."""
+    """Options of `threats`."""
 
 
-class SizeOptions(LoopOptions, RolledOptions, total=False):
+class StartsOptions(SearchOptions, MetricOptions, total=False):
+    """Options of `starts`."""
+
+
+class SizeOptions(LoopOptions, RolledOptions, MetricOptions, total=False):
     """Options of `size`, which also plans for the open loop."""
 
 
@@ -246,7 +261,7 @@ def _rollouts(options: Mapping[str, Any], **how: Any) -> RolloutChoices:
     """The rollouts among the options; `how` replaces some. Raises UsageError."""
     from analysis.sampling import RolloutChoices
 
-    given = {name: options[name] for name in ("seed", "engine", "deadline", "exact") if name in options}
+    given = {name: options[name] for name in ("seed", "engine", "deadline", "exact", "metric") if name in options}
     return RolloutChoices(first_only=_first_only(options), **{**given, **how})
 
 
@@ -856,14 +871,14 @@ def _rest(world: World, state: MissionState | str | Path) -> Plan:
     return plan(world, state=state)
 
 
-@takes(OnePlanOptions, deadline=REPORTED)
+@takes(CompareOptions, deadline=REPORTED)
 def compare(
     a: tuple[World, PlanSource],
     b: tuple[World, PlanSource],
     *,
     loop_b: Loop | None = None,
     threat_checks_b: ThreatChecks | None = None,
-    **options: Unpack[OnePlanOptions],
+    **options: Unpack[CompareOptions],
 ) -> Comparison:
     """Difference between two plans, settings, teams or maps, on common random numbers.
 
@@ -959,7 +974,7 @@ def check(
     if mode == "world":
         of = plan_of(world, plan)  # type: ignore[arg-type]
         return _ask(lambda tell, doing: check_input(*of, choices, tell, bound, theory), options)
-    sizes = (1, 2, 4, 8, 20) if robots is None else tuple(sorted(set(robots)))
+    sizes = (1, 2, 4, 8, 20) if robots is None else tuple(sorted({robots} if isinstance(robots, int) else set(robots)))
     for count in sizes or (0,):
         whole(1, 1024).check("robots", count)
     survey = make_survey(worlds or 0, kind, size, sizes, settings, bool(bound))
@@ -973,7 +988,7 @@ def check(
 
 def _reproduction(given: Mapping[str, Any]) -> Reproduction:
     """The paper's experiments. Raises InputError."""
-    from analysis.experiments.reproduction import reproduce
+    from analysis.reproduction import reproduce
     from analysis.sweeps.cases import check_maps
     from analysis.sweeps.store import Store
     from analysis.utils.progress import compiling_elsewhere
@@ -1047,7 +1062,6 @@ def size(
     target: float | None = None,
     confidence: float | None = None,
     complete: bool = False,
-    meaning: Literal["visited", "survived"] = "visited",
     most: int | None = None,
     starts: ArrayLike | None = None,
     loop: Loop | None = None,
@@ -1064,7 +1078,6 @@ def size(
         target: Fraction of the accessible cells to cover, above 0, at most 1.
         confidence: Required chance of covering the target (default: expected coverage decides; with `complete`: 0.95).
         complete: Cover every accessible cell: `target` 1 with a confidence.
-        meaning: A cell counts when a robot enters it (visited) or leaves it alive (survived) (default: visited).
         most: Largest team to evaluate (default: 64; at most the number of starts).
         starts: `[[row, col], ...]`, of which a team takes the first; default: the world's own, else its start rule.
         loop: closed: survivors take over the work of lost robots (default); open: fixed paths.
@@ -1076,7 +1089,7 @@ def size(
     from planner.world.world import check_starts
 
     settings = _settings(world, options)
-    goal = make_goal(target, confidence, complete, meaning, most)
+    goal = make_goal(target, confidence, complete, options["metric"], most)
     amount = how_much(rollouts, precision, None, usual=100_000) | {"seconds": None}
     loop = loop or ("open" if settings.plan_for == "open_loop" else "closed")
     choices = _rollouts(options, loop=loop, **amount)
@@ -1124,7 +1137,7 @@ def front(
     return _found(partial(find_front, world, placed, settings, choices, goal=goal, ladders=ladders), options)
 
 
-@takes(SearchOptions)
+@takes(StartsOptions)
 def starts(
     world: World,
     robots: int | None = None,
@@ -1132,7 +1145,7 @@ def starts(
     depot: bool = False,
     candidates: ArrayLike | str | Path = "border",
     rollouts: int = 4096,
-    **options: Unpack[SearchOptions],
+    **options: Unpack[StartsOptions],
 ) -> Starts:
     """The best start cells: one for each robot, or one for all.
 

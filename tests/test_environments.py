@@ -251,13 +251,13 @@ def test_the_first_offers_of_a_rule_are_its_closed_loop(policy: Policy) -> None:
         plan = make_plan(there, place_starts(there, 4)[0], Settings(policy=policy))
         loop = PythonLoop(plan, there)
         for rollout in range(2):
-            run = ChosenRun(loop, seed, rollout, traced=True)
+            run = ChosenRun(loop, seed, rollout)
             run.go_on()
             while run.decision is not None:
                 run.go_on(0)
                 choices += 1
             assert run.outcome is not None
-            assert_same_trace(run.trace(), loop.trace(seed, rollout))
+            assert_same_trace(run.now.trace, loop.trace(seed, rollout))
     assert choices > 40
 
 
@@ -273,7 +273,7 @@ def test_rollouts_of_one_loop_may_go_on_in_turn(rule: str) -> None:
         run.go_on(int(draw.integers(last + 1)) if last >= 0 and draw.random() < 0.8 else None)
 
     def begun(rollout: int) -> tuple[ChosenRun, np.random.Generator]:
-        return ChosenRun(loop, 8, rollout, traced=True), np.random.default_rng(rollout)
+        return ChosenRun(loop, 8, rollout), np.random.default_rng(rollout)
 
     in_turn, asked = [begun(rollout) for rollout in range(5)], 0
     while left := [one for one in in_turn if one[0].outcome is None]:
@@ -284,7 +284,7 @@ def test_rollouts_of_one_loop_may_go_on_in_turn(rule: str) -> None:
         alone, draw = begun(rollout)
         while alone.outcome is None:
             go_on(alone, draw)
-        assert_same_trace(alone.trace(), run.trace())
+        assert_same_trace(alone.now.trace, run.now.trace)
         assert alone.now.unvisited == run.now.unvisited == loop.loop.accessible - run.now.visited.sum()
         assert alone.new.sum() == run.now.visited.sum()
     assert asked > 20 and not all(run.now.alive.all() for run, _ in in_turn)

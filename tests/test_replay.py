@@ -376,16 +376,16 @@ def check_against_simulation(plan: Plan, world: World, seed: int, trace: Trace) 
         assert frames.alive[step].tolist() == run.alive.tolist()
         areas = maps.get(step, areas)
         assert areas.open == run.raw.marks["open"]
-        had |= {robot.area: robot.number for robot in run.robots if robot.on_its_way}
+        had |= {run.area(robot): robot for robot in range(run.loop.robots)}
         check_areas(areas, run, had)
     assert step == trace.time
-    assert np.array_equal(frames.visited_at != NO_STEP, run.loop.on_grid(run.visited))
-    assert np.array_equal(frames.survived_at != NO_STEP, run.loop.on_grid(run.survived))
+    assert np.array_equal(frames.visited_at != NO_STEP, run.visited)
+    assert np.array_equal(frames.survived_at != NO_STEP, run.survived)
 
 
 def check_areas(areas: AreaMap, run: SingleRun, had: dict[int, int]) -> None:
     """`had`: who has each area, or had it last."""
-    assert np.array_equal(areas.area, run.loop.on_grid(run.area_of, NO_AREA))
+    assert np.array_equal(areas.area, run.area_of)
     inside = areas.area != NO_AREA
     for number in np.unique(areas.area[inside]).tolist():
         held = Held.COMPLETED if run.raw.areas["left"][number] == 0 else Held.ASSIGNED

@@ -11,8 +11,8 @@ from helpers import answer_of, uniform
 from page_reader import refused
 from PIL import Image
 
+from analysis import reproduction as paper
 from analysis.cli.app import run
-from analysis.experiments import reproduction as paper
 from analysis.statistics.estimates import over_maps
 from analysis.statistics.variance_reduction import expected_pieces, pieces
 from analysis.sweeps.store import Run, Store
@@ -132,7 +132,7 @@ def test_the_command_prints_saves_and_is_json(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_interrupted_leaves_whole_maps(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    from analysis.experiments import reproduction as module
+    from analysis import reproduction as module
 
     real, taken = module._Collected.take, []
 

@@ -20,7 +20,7 @@ from rich.table import Table
 from analysis.inputs import EXAMPLE, input_path
 from analysis.policy_evaluation.policy_evaluation import estimate_of, roll_policy, scores_of, share_of, wanted_for
 from analysis.report.model import KeyFigure, Report, Section
-from analysis.report.result import Result, json_end
+from analysis.report.result import Result
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.estimates import Estimate
 from analysis.theory.flow_programme import optimum
@@ -33,6 +33,7 @@ from planner.arguments import argument
 from planner.errors import InputError, UsageError
 from planner.files import Json, check_file
 from planner.formatting import ceiled, counted, in_percent
+from planner.json_objects import as_json
 from planner.plan.plan import Plan
 from planner.plan_team import plan_team, read_plan
 from planner.policies.rules import Rule
@@ -71,6 +72,12 @@ class WorldResults:
     bound: float
     optimum: float | None
     rolled: dict[str, Rolled]
+    json_keys = "robots accessible=cells *limits entries"
+
+    @property
+    def entries(self) -> Json:
+        """By entry: mean coverage, a fraction of the accessible cells, and mean share of the team that is lost."""
+        return {name: {"coverage": self.coverage(name), "lost": self.lost(name)} for name in self.rolled}
 
     def coverage(self, entry: str) -> Estimate | None:
         """Mean visited coverage, a fraction of the accessible cells; None: no rollouts of this entry."""
@@ -121,6 +128,7 @@ class Row:
     coverage: float
     lost: float
     first: int
+    json_keys = "rank worlds score behind coverage lost first"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -141,6 +149,17 @@ class Leaderboard(Result):
     own: str | None
     seconds: float
     partial: bool = False
+    json_keys = "answer=headline rollouts seed entries=by_name worlds=by_world"
+
+    @property
+    def by_name(self) -> dict[str, Row]:
+        """All entries by name."""
+        return {row.name: row for row in self.entries}
+
+    @property
+    def by_world(self) -> dict[str, WorldResults]:
+        """The worlds by name."""
+        return {played.name: played for played in self.worlds}
 
     @cached_property
     def entries(self) -> tuple[Row, ...]:
@@ -499,7 +518,7 @@ def report(standing: Leaderboard) -> Report:
     ranks = table_of(RANKS, standing.entries, padding=(0, 1, 0, 0))
     worlds = _worlds_table(standing)
     return Report(
-        "suite", "suite", "Which policy covers most?", headline(standing), partial(_json, standing),
+        "suite", "suite", "Which policy covers most?", headline(standing), partial(as_json, standing),
         figures=[KeyFigure(f"{row.rank} of {len(standing.entries)}", f"rank of {row.name}") for row in mine],
         heading=[f"{count}, {counted(standing.rollouts, 'rollout')} each, seed {standing.seed}"],
         took=[f"{standing.seconds:.0f} s"],
@@ -565,22 +584,7 @@ def _lines(standing: Leaderboard) -> Iterator[tuple[object, ...]]:
     """Rows of the CSV file: fractions of the accessible cells, and of the team."""
     for played in standing.worlds:
         bound, best = played.limits.values()
-        for name, found in _entries(played).items():
+        for name, found in played.entries.items():
             covered = found["coverage"]
             of = (played.name, played.robots, played.cells, bound, "" if best is None else best)
             yield *of, name, covered.mean, *covered.ci95, found["lost"]
-
-
-def _entries(played: WorldResults) -> Json:
-    return {name: {"coverage": played.coverage(name), "lost": played.lost(name)} for name in played.rolled}
-
-
-def _json(standing: Leaderboard) -> Json:
-    """Coverage, bound and optimum: fractions of the accessible cells; lost: of the team."""
-    entries = {row.name: {key: value for key, value in vars(row).items() if key != "name"} for row in standing.entries}
-    worlds = {
-        played.name: {"robots": played.robots, "accessible": played.cells, **played.limits, "entries": _entries(played)}
-        for played in standing.worlds
-    }
-    said = {"answer": headline(standing), "rollouts": standing.rollouts, "seed": standing.seed}
-    return {**said, "entries": entries, "worlds": worlds, **json_end(standing)}

@@ -109,7 +109,7 @@ class AreaEnv(coverage_env.Mission):
         if run.decision is not None:
             number = run.decision.robot
             team = 1 - run.now.unvisited / self.accessible, self.alive(run).mean()
-            mine = run.now.robots[number].area
+            mine = run.now.area(number)
             for place, (area, _, offer) in enumerate(run.decision.offers[: self.offers]):
                 own = area == mine
                 seen[number, place] = 1, own, offer.level, offer.cost, offer.unvisited, offer.entry, *team
@@ -197,7 +197,7 @@ class AreaRuns:
             raise RuntimeError("render before reset")
         now = self._runs[0].now
         cells = now.loop.cells[now.raw.robots["cell"]]
-        return coverage_env.picture_of(self.env.world, now.loop.on_grid(now.visited), cells, now.alive)
+        return coverage_env.picture_of(self.env.world, now.visited, cells, now.alive)
 
 
 # Creation of both environments, and episodes of them.
