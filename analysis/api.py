@@ -440,8 +440,9 @@ def record(
     from analysis.recording.viewers.topics import write_layout
     from planner.files import check_new
 
-    check_names(Path(path))
-    check_new(path, layout_name(Path(path)), force=force)
+    path = Path(path)
+    check_names(path)
+    check_new(path, layout_name(path), *([] if state_at is None else [state_name(path)]), force=force)
     chosen, names = tuple(ids), tuple(pick)
     if chosen and names:
         raise UsageError(f"both {argument('ids')} and {argument('pick')} are given", expected="one of them")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -51,27 +51,22 @@ def small_recording(path: Path, **choices: Any) -> tuple[World, Plan]:
     return world, plan
 
 
-Change = Callable[[LogMessage], Iterator[tuple[str, int, bytes]]]
-"""What becomes of a message: (topic, log time, data) of those in its place."""
-
-
-def keep(message: LogMessage) -> Iterator[tuple[str, int, bytes]]:
-    """Leave it as it is."""
-    yield message.topic, message.log_time, bytes(message.data)
+Change = Callable[[list[LogMessage]], None]
+"""Changes the messages of a log in place."""
 
 
 def rewrite(
     source: Path,
     target: Path,
     *,
-    change: Change = keep,
+    change: Change = lambda messages: None,
     attachments: dict[str, bytes | None] | None = None,
     metadata: Callable[[dict[str, str]], dict[str, str]] = lambda items: items,
     schema: Callable[[LogSchema], LogSchema] = lambda known: known,
 ) -> None:
     """A valid copy of a log with something changed: `attachments` by name (None: left out), the rest by functions."""
     log, replaced = open_log(source), attachments or {}
-    channels = {channel.topic: channel for channel in log.channels.values()}
+    change(messages := list(log.messages()))
     with LogWriter(target) as out:
         for attached in log.attachments:
             data = replaced.get(attached.name, attached.data)
@@ -79,25 +74,24 @@ def rewrite(
                 out.attach(attached.name, attached.media_type, bytes(data))
         for name, items in log.metadata:
             out.metadata(name, metadata(dict(items)))
-        for message in log.messages():
-            for topic, time, data in change(message):
-                channel = channels.get(topic, message.channel)
-                known = log.schemas[channel.schema_id]
-                described = schema(LogSchema(known.name, known.encoding, bytes(known.data), channel.message_encoding))
-                out.write(out.channel(topic, described), time, data)
+        for one in messages:
+            known = log.schemas[one.channel.schema_id]
+            described = LogSchema(known.name, known.encoding, bytes(known.data), one.channel.message_encoding)
+            out.write(out.channel(one.topic, schema(described)), one.log_time, bytes(one.data))
+
+
+def places(messages: list[LogMessage], topic: str) -> list[int]:
+    """Where the messages of a topic are."""
+    return [place for place, one in enumerate(messages) if one.topic == topic]
 
 
 def nth(topic: str, number: int, edit: Callable[[bytes], bytes | None]) -> Change:
-    """Change message `number` of a topic: its new data, or None to leave it out."""
-    seen = iter(range(10**9))
+    """Change message `number` of a topic, if there is one: its new data, or None to leave it out."""
 
-    def change(message: LogMessage) -> Iterator[tuple[str, int, bytes]]:
-        if message.topic == topic and next(seen) == number:
-            data = edit(bytes(message.data))
-            if data is not None:
-                yield topic, message.log_time, data
-        else:
-            yield from keep(message)
+    def change(messages: list[LogMessage]) -> None:
+        for place in places(messages, topic)[number : number + 1]:
+            data = edit(bytes(messages[place].data))
+            messages[place : place + 1] = [] if data is None else [messages[place]._replace(data=data)]
 
     return change
 

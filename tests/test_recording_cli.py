@@ -36,6 +36,13 @@ def recorded(folder: Path, *words: str, source: str = WORLD) -> Path:
     return out
 
 
+def inspected(capsys: pytest.CaptureFixture[str], *words: str, status: int = 0) -> str:
+    """What `inspect` prints, without breaks of lines."""
+    capsys.readouterr()
+    assert run(["inspect", *words]) == status
+    return " ".join(capsys.readouterr().out.split())
+
+
 TYPED = "threats: [{raster: p.npy, type: x}]\nrobots: {count: 2, matrix: {a: {x: 0.1}, b: {x: 2}}, types: [a, b]}"
 
 
@@ -81,10 +88,8 @@ def test_record_replay_inspect(tmp_path: Path, capsys: pytest.CaptureFixture[str
     ]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.layout.json", "run.mcap"]
     assert json.loads((tmp_path / "run.layout.json").read_text())
-    assert run(["inspect", str(out), "--replay", "--all"]) == 0
-    assert "identical" in capsys.readouterr().out
-    assert run(["inspect", str(out)]) == 0
-    text = capsys.readouterr().out
+    assert "identical" in inspected(capsys, str(out), "--replay", "--all")
+    text = inspected(capsys, str(out))
     assert "/map/threat" in text
     assert "is lost at [" in text
     rollouts = list(read_rollouts(out))
@@ -112,10 +117,7 @@ def test_replay_of_a_changed_file_exits_with_1(tmp_path: Path, capsys: pytest.Ca
     out = recorded(tmp_path, "--robots", "3", "--ids", "2", source=TINY)
     bad = tmp_path / "bad.mcap"
     rewrite(out, bad, change=nth("/rollout/event", 0, lambda data: None))
-    capsys.readouterr()
-    assert run(["inspect", str(bad), "--replay"]) == 1
-    said = capsys.readouterr()
-    assert "NOT identical" in said.out
+    assert "NOT identical" in inspected(capsys, str(bad), "--replay", status=1)
     assert answer_of(capsys, "inspect", str(bad), "--replay", status=1)["identical"] is False
 
 
@@ -128,7 +130,8 @@ def test_recover_tells_what_is_lost(
     data = out.read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: len(data) * 2 // 3])
-    assert "try `mrac-jax inspect --repair OUT" in refused_after(capsys, "inspect", str(cut))
+    capsys.readouterr()
+    assert "try `mrac-jax inspect --repair OUT" in refused(capsys, "inspect", str(cut))
     assert run(["inspect", str(cut), "--repair", str(tmp_path / "cut.recovered.mcap")]) == 1
     told = capsys.readouterr()
     assert "lost" in told.out
@@ -138,19 +141,12 @@ def test_recover_tells_what_is_lost(
     kept = [one.trace for one in read_rollouts(saved)]
     assert 1 <= len(kept) < 4
     assert kept == whole[: len(kept)]
-    assert run(["inspect", str(saved)]) == 0
-    assert "incomplete log" in capsys.readouterr().out
-    assert run(["inspect", str(saved), "--replay"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert f"identical as far as it goes: {len(kept)} of 4 rollouts; the file is recovered" in said
+    assert "incomplete log" in inspected(capsys, str(saved))
+    said = f"identical as far as it goes: {len(kept)} of 4 rollouts; the file is recovered"
+    assert said in inspected(capsys, str(saved), "--replay")
     found = answer_of(capsys, "inspect", str(saved), "--replay")
     assert (found["identical"], found["partial"], found["rollouts"], found["asked"]) == (True, True, len(kept), 4)
     assert answer_of(capsys, "inspect", str(cut), "--repair", str(saved), status=1)["complete"] is False
-
-
-def refused_after(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    capsys.readouterr()
-    return refused(capsys, *words)
 
 
 def test_another_planners_plan_is_recorded_open_loop(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -256,8 +252,7 @@ def test_a_log_of_somebody_else_is_listed(tmp_path: Path, capsys: pytest.Capture
 
     with LogWriter(tmp_path / "other.mcap") as log:
         log.write(log.channel("/speed", LogSchema("", "", b"", "json")), 5 * 10**9, b"{}")
-    assert run(["inspect", str(tmp_path / "other.mcap")]) == 0
-    text = capsys.readouterr().out
+    text = inspected(capsys, str(tmp_path / "other.mcap"))
     assert "/speed" in text
     assert "not a recording of mrac-jax" in text
     assert "settings.json" in refused(capsys, "inspect", str(tmp_path / "other.mcap"), "--replay")
@@ -265,17 +260,12 @@ def test_a_log_of_somebody_else_is_listed(tmp_path: Path, capsys: pytest.Capture
 
 def test_the_timeline_can_be_had_in_full(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = recorded(tmp_path, "--robots", "8", "--ids", "0")
-    capsys.readouterr()
-    assert run(["inspect", str(out)]) == 0
-    short = capsys.readouterr().out
-    assert run(["inspect", str(out), "--events", "all"]) == 0
-    full = capsys.readouterr().out
+    short, full, none = (inspected(capsys, str(out), "--events", how) for how in ("main", "all", "none"))
+    assert short == inspected(capsys, str(out))
     events = len(next(read_rollouts(out)).trace.events)
     assert events > 40
     assert f"and {events - 40} events more" in short
-    assert len(full.splitlines()) > len(short.splitlines())
-    assert run(["inspect", str(out), "--events", "none"]) == 0
-    none = capsys.readouterr().out
+    assert len(full) > len(short)
     assert "rollout 0 ends: " in none
     assert " more: " not in none
     assert "is lost at" not in none
@@ -319,11 +309,9 @@ def test_ctrl_c_while_recording_leaves_what_is_done(
     assert f"interrupted: {out} holds 1 of 3 rollouts" in err and "survived, %" in told
     assert [one.trace.rollout for one in read_rollouts(out)] == [0] and open_log(out).partial == "interrupted"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.layout.json", "run.mcap"]
-    assert run(["inspect", str(out)]) == 0
-    assert "incomplete log: interrupted" in capsys.readouterr().out
-    assert run(["inspect", str(out), "--replay"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "identical as far as it goes: 1 of 3 rollouts; the file is partial" in said
+    assert "incomplete log: interrupted" in inspected(capsys, str(out))
+    said = "identical as far as it goes: 1 of 3 rollouts; the file is partial"
+    assert said in inspected(capsys, str(out), "--replay")
     before = out.read_bytes()
     told, err = interrupted(out, 2, "--json")
     made = json.loads(told)

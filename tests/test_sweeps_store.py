@@ -92,6 +92,12 @@ def blocks_of(store: Store) -> list[int]:
     return [tally.rollouts for result in store.intact([]) for tally in result.tallies]
 
 
+def sql(path: Path, statement: str) -> list[tuple]:
+    """The rows of a statement on a file, committed."""
+    with closing(sqlite3.connect(path)) as connection, connection:
+        return connection.execute(statement).fetchall()
+
+
 @pytest.fixture
 def store() -> Iterator[Store]:
     with Store() as opened:
@@ -171,14 +177,10 @@ def test_bad_files(tmp_path: Path) -> None:
     text = tmp_path / "text.db"
     text.write_text("this is no database at all, though long enough to be one" * 100)
     other = tmp_path / "other.db"
-    with sqlite3.connect(other) as connection:
-        connection.execute("CREATE TABLE things (a)")
-    connection.close()
+    sql(other, "CREATE TABLE things (a)")
     newer = tmp_path / "newer.db"
     Store.open(newer).close()
-    with sqlite3.connect(newer) as connection:
-        connection.execute(f"PRAGMA user_version = {store_file.VERSION + 1}")
-    connection.close()
+    sql(newer, f"PRAGMA user_version = {store_file.VERSION + 1}")
     empty = tmp_path / "empty.db"
     empty.touch()
     found = {text: "is not a store", other: "another program", newer: "newer mrac-jax", tmp_path: "is a folder"}
@@ -327,8 +329,7 @@ def test_a_store_of_rollouts_drawn_visit_by_visit_names_the_release(
 ) -> None:
     old = tmp_path / "old.store"
     shutil.copy(EARLIER_STORE, old)
-    with closing(sqlite3.connect(old)) as connection, connection:
-        connection.execute(f"""UPDATE runs SET what = replace(what, '"tolerance"', '"{mode}"') WHERE rowid = 2""")
+    sql(old, f"""UPDATE runs SET what = replace(what, '"tolerance"', '"{mode}"') WHERE rowid = 2""")
     for opened in (Store.open, Store.rescue):
         with pytest.raises(StoreError, match=re.escape(PER_VISIT)):
             opened(old)
@@ -370,10 +371,8 @@ def tallies(store: Store) -> dict[str, Tally | None]:
 
 def places(path: Path) -> dict[str, range]:
     """Bytes of the file by what lies there."""
-    connection = sqlite3.connect(path)
-    roots = dict(connection.execute("SELECT name, rootpage FROM sqlite_master").fetchall())
-    assert connection.execute("PRAGMA freelist_count").fetchone()[0] > 0
-    connection.close()
+    roots = dict(sql(path, "SELECT name, rootpage FROM sqlite_master"))
+    assert sql(path, "PRAGMA freelist_count")[0][0] > 0
     free = int.from_bytes(path.read_bytes()[32:36], "big")
     pages = {"runs": roots["runs"], "index of runs": roots["sqlite_autoindex_runs_1"], "freelist": free}
     pages |= {"blocks": roots["blocks"], "index of blocks": roots["sqlite_autoindex_blocks_1"]}
@@ -457,9 +456,7 @@ def test_what_cannot_be_saved_is_counted(whole: Path, tmp_path: Path) -> None:
     """A leaf of the table of blocks is overwritten: its rows are gone, the index still names them."""
     bad = tmp_path / "bad.store"
     data = bytearray(whole.read_bytes())
-    connection = sqlite3.connect(whole)
-    found = connection.execute("SELECT pageno FROM dbstat WHERE name = 'blocks' AND pagetype = 'leaf'").fetchall()
-    connection.close()
+    found = sql(whole, "SELECT pageno FROM dbstat WHERE name = 'blocks' AND pagetype = 'leaf'")
     page = found[len(found) // 2][0] - 1
     data[page * PAGE : (page + 1) * PAGE] = bytes(PAGE)
     bad.write_bytes(data)
@@ -484,8 +481,6 @@ def test_what_survives_a_power_cut_is_asked_for(tmp_path: Path) -> None:
         with Store.open(path) as store:
             assert store._connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
             assert store._connection.execute("PRAGMA synchronous").fetchone() == (1,)  # NORMAL
-    connection = sqlite3.connect(path)
-    assert connection.execute("PRAGMA journal_mode = DELETE").fetchone() == ("delete",)
-    connection.close()
+    assert sql(path, "PRAGMA journal_mode = DELETE") == [("delete",)]
     with Store.open(path) as store:
         assert store._connection.execute("PRAGMA synchronous").fetchone() == (2,)  # FULL

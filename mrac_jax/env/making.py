@@ -74,14 +74,10 @@ def env(
     package = "gymnasium" if face == "vector" else face
     if package in EXTRA and find_spec(package) is None:
         raise UsageError(f"{package} is not installed", fix=f"pip install '{EXTRA[package]}'")
-    given: dict[str, Any] = {
-        "starts": starts,
-        "actions": actions,
-        "view": view,
-        "robot_value": robot_value,
-        "rule": rule,
-    }
-    made = make_env(world, robots, **given, offers=offers, max_steps=max_steps)
+    made = make_env(
+        world, robots, starts=starts, actions=actions, view=view, robot_value=robot_value, rule=rule, offers=offers,
+        max_steps=max_steps,
+    )  # fmt: skip
     if face == "vector":
         from mrac_jax.env.gymnasium_env import TeamVectorEnv
 
