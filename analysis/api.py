@@ -145,6 +145,8 @@ class FrontOptions(PlannerOptions, RolledOptions, total=False):
 class SearchOptions(PolicyOptions, RolledOptions, total=False):
     """Options of `starts` and `threats`."""
 
+    loop: Loop | None
+
 
 class SizeOptions(LoopOptions, RolledOptions, total=False):
     """Options of `size`, which also plans for the open loop."""
@@ -247,6 +249,7 @@ def _rollouts(options: Mapping[str, Any], **how: Any) -> RolloutChoices:
     from analysis.sampling import RolloutChoices
 
     given = {name: options[name] for name in ("seed", "engine", "deadline", "exact") if name in options}
+    given["loop"] = options.get("loop") or "closed"
     return RolloutChoices(first_only=_first_only(options), **{**given, **how})
 
 
@@ -740,6 +743,7 @@ def evaluate(
     bound: bool | None = None,
     band: bool = True,
     advice: bool = True,
+    marginal_risk: bool = False,
     show: Callable[[Evaluation], None] | None = None,
     **options: Any,
 ) -> Evaluation | PolicyEvaluation:
@@ -757,6 +761,8 @@ def evaluate(
         bound: Compute the upper bound on maps with more than 1,000 dangerous cells too.
         band: also sample how coverage grows over time, for `plots`.
         advice: Coverage and losses of other settings (a few seconds; compiles on the first run).
+        marginal_risk: Cells lost for one more percent of threat in each cell, with the plan as it is (about half the
+            time of the rollouts).
         show: called with the evaluation so far, before the results that take longer.
         options: any further output of `analysis.evaluation.outputs`, by its key.
 
@@ -778,7 +784,7 @@ def evaluate(
     for name in asked.keys() - OUTPUTS.keys():
         known = [name for name, one in signature(evaluate).parameters.items() if one.kind is one.KEYWORD_ONLY]
         raise UnknownArgument.of(evaluate, name, asked[name], known)
-    asked["threat_scale"] = tuple(threat_scale)
+    asked |= {"threat_scale": tuple(threat_scale), "marginal_risk": marginal_risk}
     asked |= {"knowledge": tuple(sensor_range)} if len(sensor_range) else {}
     check_asked(world, **asked)
     asked |= {"band": band, "advice": advice}

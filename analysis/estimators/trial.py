@@ -5,7 +5,7 @@ A search compares like with like: all results are exact, or all are on the same 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -30,7 +30,7 @@ from analysis.theory.verdicts import MEANINGS, ClosedTruth, Truth, as_stated, ex
 from analysis.utils.progress import announce_compilation
 from planner.errors import PlanError
 from planner.plan.plan import Plan, is_certain
-from planner.rollouts.closed_loop import compile_closed_loop
+from planner.rollouts.closed_loop import compile_closed_loop, tally_from
 from planner.rollouts.engine import Engine, closed_loop_engine, run_chunks, run_with_threshold_sums
 from planner.rollouts.exact_tree import CHEAP, WHOLE, Tree, grow_tree
 from planner.rollouts.loop import ClosedLoop
@@ -110,11 +110,8 @@ def closed_truth(
 
 def _loop_of(plan: Plan, world: World, first_only: bool, kept: AllPairs | None) -> ClosedLoop | None:
     """The loop of which a tree is grown; None: it has no tree, or one that is too large."""
-    from planner.rollouts.closed_loop import compile_closed_loop
-
-    if (world.uncertainty is not None and world.phases is None) or int(
-        world.accessible(plan.starts).sum()
-    ) > MOST_CELLS:
+    has_tree = world.uncertainty is None or world.phases is not None
+    if not has_tree or int(world.accessible(plan.starts).sum()) > MOST_CELLS:
         return None
     try:
         return compile_closed_loop(plan, world, first_only=first_only, kept=kept)
@@ -131,27 +128,19 @@ def tree_of(loop: ClosedLoop, seconds: float, slack: float = SLACK, fine_seconds
     """
     cells = loop.accessible
     slower = max(loop.robots / LARGE, 1.0) ** (3 if loop.comes_home or len(loop.tables.reach) else 1)
-    most, cheap = (
-        max(int(time * EFFORT / cells / slower), 2) if cells <= MOST_CELLS else 2 for time in (seconds, fine_seconds)
-    )
+    a_second = EFFORT / cells / slower if cells <= MOST_CELLS else 0.0
+    most, cheap = (max(int(time * a_second), 2) for time in (seconds, fine_seconds))
     return grow_tree(loop, slack * cells, most, max(cheap, CHEAP))
 
 
 def _truth_of(tree: Tree, loop: ClosedLoop, plan: Plan, world: World) -> TreeTruth:
-    from planner.rollouts.closed_loop import tally_from
-
-    visited, survived, some_left = (
-        _between(*one) for one in (tree.covered("visited"), tree.covered("survived"), tree.chance_left())
-    )
+    bounds = tree.covered("visited"), tree.covered("survived"), tree.chance_left()
+    visited, survived, some_left = (Truth((low + high) / 2, low, high, "tree") for low, high in bounds)
     stated = as_stated(plan, world, tree.counts.outcomes / WHOLE, "tree")
     counts = [Counts(*map(np.copy, tree.counts))]  # copied, because `tally_from` adds in place
     masses = tally_from(loop, 0, 0, WHOLE, counts) if tree.left <= SLACK else None
     alive, time = tree.mean_alive, tree.mean_time
     return TreeTruth(visited, survived, some_left, stated, 0, alive, time, tree=tree, masses=masses)
-
-
-def _between(low: float, high: float) -> Truth:
-    return Truth((low + high) / 2, low, high, "tree")
 
 
 def _as_json(low: float, high: float) -> float | list[float]:
@@ -167,8 +156,7 @@ UNITS = 2**40
 
 def units_of(worth: CellValues) -> NDArray[np.float64]:
     """Units of each cell before rounding, float64 `[N]`."""
-    share: NDArray[np.float64] = worth.value / worth.total * UNITS
-    return share
+    return np.asarray(worth.value / worth.total * UNITS)
 
 
 def most_units(cells: int) -> int:
@@ -209,6 +197,7 @@ def mean_value(
 # of both are `Estimate`s. A difference of two is exact, or on common random numbers. Only this module distinguishes the
 # two.
 
+FIGURES = ("visited", "survived", "alive", "lost", "time", "value")
 Between = tuple[float, float]
 """Certain lower and upper bounds of a figure."""
 
@@ -218,42 +207,54 @@ class Known:
     """Exact figures: "visited" and "survived" cells, robots "alive" and "lost", "time" in steps, share of "value".
 
     Attributes:
-        tree: of all possible histories. value: bounds of the visited share of the value; None: the map has no values.
+        means: bounds of each mean, which differ only by the unexplored probability; no "value": the map has no values.
+        most: the largest possible value of each figure in a run.
+        stops: float64, expected robots lost in each cell. tree: of all possible histories; None: the open loop.
     """
 
-    tree: Tree
-    value: Between | None = None
+    means: Mapping[str, Between]
+    most: Mapping[str, float]
+    stops: NDArray[np.float64]
+    tree: Tree | None = None
     rollouts = 0
     exact = certain = True
+
+    @classmethod
+    def of(
+        cls, means: Sequence[Between], sizes: Sequence[float], stops: NDArray[np.float64], tree: Tree | None = None
+    ) -> Known:
+        """`means`: in the order of FIGURES, of the value only if the map has values. `sizes`: cells, robots, steps."""
+        cells, robots, steps = sizes
+        most = dict(zip(FIGURES, (cells, cells, robots, robots, steps, 1.0), strict=True))
+        return cls(dict(zip(FIGURES, means, strict=False)), most, stops, tree)
+
+    @classmethod
+    def of_tree(cls, tree: Tree, *value: Between) -> Known:
+        """Of the closed loop; `value`: bounds of the visited share of the value; `stops`: of accessible cells."""
+        cells, robots, steps = (len(getattr(tree.counts, name)) - 1.0 for name in ("visited", "alive", "time"))
+        least, alive = tree.alive()
+        covered = tree.covered("visited"), tree.covered("survived")
+        means = (*covered, (least, alive), (robots - alive, robots - least), tree.time(), *value)
+        return cls.of(means, (cells, robots, steps), tree.counts.stops / WHOLE, tree)
 
     @property
     def counted(self) -> str:
         """The figure that is compared: value if the map has values, else cells."""
-        return "visited" if self.value is None else "value"
+        return "value" if "value" in self.means else "visited"
 
     @property
     def share(self) -> float:
         """Mean share of all cells, or of all value, that is visited."""
-        low, high = self.between(self.counted)
-        return (low + high) / 2 / self.largest(self.counted)
-
-    def between(self, figure: str) -> Between:
-        """Bounds of the mean; they differ only by the unexplored probability."""
-        if figure == "value":
-            assert self.value is not None
-            return self.value
-        if figure == "lost":
-            low, high = self.tree.alive()
-            return self.largest("lost") - high, self.largest("lost") - low
-        return {"alive": self.tree.alive, "time": self.tree.time}.get(figure, lambda: self.tree.covered(figure))()
+        low, high = self.means[self.counted]
+        return (low + high) / 2 / self.most[self.counted]
 
     def mean(self, figure: str, unit: float = 1.0, most: int | None = None) -> Estimate:
         """A mean, times `unit`."""
-        return stated(self.between(figure), unit, self.largest(figure))
+        return stated(self.means[figure], unit, self.most[figure])
 
     def bounds(self, figure: str, alpha: float) -> Between:
         """Bounds of the mean, for any error probability `alpha`."""
-        return self.between(figure)
+        return self.means[figure]
 
     def chance(self, figure: str, needed: int) -> Estimate:
         """The probability that at least `needed` cells are "visited" or "survived"."""
@@ -261,12 +262,13 @@ class Known:
 
     def chance_bounds(self, figure: str, needed: int, alpha: float) -> Between:
         """Bounds of that probability."""
+        assert self.tree is not None
         return self.tree.chance_of(figure, needed)
 
     def ahead(self, base: Measured, figure: str, unit: float = 1.0) -> Estimate:
         """The difference of a figure from that of `base`, which is exact too, times `unit`."""
         assert isinstance(base, Known)
-        (low, high), (least, most), reach = self.between(figure), base.between(figure), self.largest(figure)
+        (low, high), (least, most), reach = self.means[figure], base.means[figure], self.most[figure]
         apart = (low - most, high - least)
         if abs(sum(apart)) <= apart[1] - apart[0] + ROUNDING * reach:  # not distinguishable
             apart = (min(apart[0], 0.0), -min(apart[0], 0.0)) if apart[1] > apart[0] else (0.0, 0.0)
@@ -274,12 +276,12 @@ class Known:
 
     def by_step(self) -> NDArray[np.float64]:
         """Mean share of the cells visited by the end of each step, float64 `[T + 1]`."""
+        assert self.tree is not None
         return np.cumsum(self.tree.counts.new) / WHOLE / self.largest("visited")
 
     def largest(self, figure: str) -> float:
         """The largest possible value of a figure in a run."""
-        axis = {"lost": "alive", "survived": "visited"}.get(figure, figure)
-        return 1.0 if axis == "value" else len(getattr(self.tree.counts, axis)) - 1.0
+        return self.most[figure]
 
 
 def stated(between: Between, unit: float, most: float) -> Estimate:
@@ -420,10 +422,12 @@ class Trial:
         if choices.loop == "closed":
             announce_compilation(plan)
             self.loop = loop or compile_closed_loop(plan, world, first_only=choices.first_only, kept=kept)
-            whole: Engine = closed_loop_engine(self.loop, choices.seed, choices.engine)
-        else:
-            whole = make_engine_for(world, plan, choices)
-        self._whole = whole
+
+    @cached_property
+    def _whole(self) -> Engine:
+        if self.loop is None:
+            return make_engine_for(self.world, self.plan, self.choices)
+        return closed_loop_engine(self.loop, self.choices.seed, self.choices.engine)
 
     @cached_property
     def engine(self) -> Engine:
@@ -437,8 +441,7 @@ class Trial:
 
     def under(self, truth: World) -> Trial:
         """The same decisions, with the threats of `truth`, a map of the same cells."""
-        assert self.loop is not None
-        return Trial(truth, self.plan, self.choices, loop=self.loop.under(truth))
+        return Trial(truth, self.plan, self.choices, loop=self.loop and self.loop.under(truth))
 
     def known(self, share: float = 1.0) -> Known | None:
         """The exact result; None if it needs more than this `share` of the choices' exact seconds."""
@@ -457,23 +460,26 @@ class Trial:
         """Expected number of robots lost in each cell, float64 `[N]`."""
         if isinstance(found, Sampled):
             return found.tally.stops / found.rollouts
-        assert self.loop is not None
-        hits = np.zeros(self.world.threat.size)
-        hits[self.loop.cells] = found.tree.counts.stops / WHOLE
-        return hits
+        return found.stops if self.loop is None else self.loop.on_grid(found.stops)
 
     def _exactly(self, seconds: float) -> Known | None:
-        if self.loop is None:
-            return None
-        loop, end = self.loop, self.choices.deadline
+        loop, end, worth = self.loop, self.choices.deadline, CellValues.of(self.world)
+        if loop is None:
+            exact = self.open_loop
+            assert exact is not None
+            if not exact.is_known:
+                raise PlanError("the open loop's exact values are not known for this team", fix="use fewer robots")
+            means = [exact.visited, exact.survived, exact.survival.sum(), exact.expected_losses, exact.mean_time]
+            means += [] if self.world.value is None else [exact.visited_by_cell @ worth.value / worth.total]
+            sizes = self.world.accessible(self.plan.starts).sum(), len(exact.survival), len(exact.time_chance) - 1
+            return Known.of([(float(mean), float(mean)) for mean in means], sizes, exact.stops_by_cell)
         tree = tree_of(loop if end is None else loop.until(end), seconds)
         if tree is None or (seconds == 0 and tree.counts.stops.any()):  # only if no robot can be lost
             return None
         if self.world.value is None:
-            return Known(tree)
-        worth = CellValues.of(self.world)
+            return Known.of_tree(tree)
         low, high = (float(chance @ worth.value[loop.cells]) / worth.total for chance in tree.cells("visited"))
-        return Known(tree, (low, high))
+        return Known.of_tree(tree, (low, high))
 
     def sample(self, start: int, count: int) -> Sampled:
         """Rollouts `start .. start + count - 1` with single results; the last sample is cached."""

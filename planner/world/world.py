@@ -293,17 +293,19 @@ class World:
         looks = self.knowledge is not None and self.knowledge.sense.range > 0
         return looks or self.learned_hazard is not None
 
-    def require_certain_map(self, what: str, or_else: str = "") -> None:
+    def require_certain_map(self, what: str, or_else: str = "", hazards: bool = False) -> None:
         """Check that the map is known, certain and the same for all robots.
 
         Args:
             what: subject of the message: the function that requires it.
             or_else: further text of the fix.
+            hazards: persistent latent hazards are supported.
 
         Raises:
             WorldError: it is not.
         """
-        if self.uncertainty is not None:
+        known = hazards and isinstance(self.uncertainty, Hazard) and self.uncertainty.kind == "persistent"
+        if self.uncertainty is not None and not known:
             # The message names the scenario key to leave out, which depends on the kind of uncertainty.
             problem = f"{what} requires one known map; here: {self.uncertainty.description}"
             named = {MovingThreats: "`moving_threats`", Phases: "`phases`"}.get(type(self.uncertainty))
