@@ -761,8 +761,8 @@ def evaluate(
         bound: Compute the upper bound on maps with more than 1,000 dangerous cells too.
         band: also sample how coverage grows over time, for `plots`.
         advice: Coverage and losses of other settings (a few seconds; compiles on the first run).
-        marginal_risk: Cells lost for one more percent of threat in each cell, with the plan as it is (about half the
-            time of the rollouts).
+        marginal_risk: Cells lost for one more percent of threat in each cell, with the plan as it is (takes about 1.5
+            times as long as the rollouts).
         show: called with the evaluation so far, before the results that take longer.
         options: any further output of `analysis.evaluation.outputs`, by its key.
 
