@@ -152,7 +152,7 @@ class ThreatScale(Output):
 # The cost of one more percent of threat in a cell, with the plan as it is.
 #
 # Open loop: the derivative of the closed form. Closed loop: the likelihood ratio on the evaluation's rollout ids, or
-# the exact tree if it is complete. Its sums slow rollouts by a quarter to two thirds, so it is measured only on request.
+# the exact tree if it is complete. Its sums slow rollouts by a quarter to two thirds: it is measured only on request.
 
 
 WORST = "A percentage point more of p costs most at {cell}: {cost:.3g} cells (standard error {se:.2g})."
