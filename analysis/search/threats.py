@@ -85,9 +85,9 @@ class Threat:
 
 def with_hazard(world: World, hazard: Hazard, cells: NDArray[np.int64], q: float, h: float) -> World:
     """The map with other latent hazards in some cells."""
-    layers = {"q": hazard.q.copy(), "h": hazard.h.copy()}
-    layers["q"].reshape(-1)[cells], layers["h"].reshape(-1)[cells] = q, h
-    other = replace(hazard, **layers)
+    exists, destroys = hazard.q.copy(), hazard.h.copy()
+    exists.reshape(-1)[cells], destroys.reshape(-1)[cells] = q, h
+    other = replace(hazard, q=exists, h=destroys)
     return replace(world, threat=other.threat, uncertainty=other)
 
 
