@@ -37,7 +37,7 @@ from planner.make_plan import make_plan
 from planner.policies import RULES
 from planner.rollout_sampling import Luck
 from planner.rollouts.closed_loop import compile_closed_loop
-from planner.rollouts.single_run import PythonLoop, SingleRun, play
+from planner.rollouts.single_run import PythonLoop, SingleRun
 from planner.settings import Choices, Settings
 from planner.world.scenario import load_input
 from planner.world.world import World
@@ -351,7 +351,7 @@ def rolled_out(planned: World, true: World, ids: range) -> np.ndarray:
     robot_value = np.ones(true.threat.size) if true.value is None else true.value.ravel()
     plan = make_plan(planned, WORLD_CLEAR.starts, Settings())
     loop = compile_closed_loop(plan, planned, interpreted=True)
-    runs = [play(SingleRun(loop, hit=Luck(true, 3, rollout).hits)) for rollout in ids]
+    runs = [SingleRun(loop, hit=Luck(true, 3, rollout).hits).play() for rollout in ids]
     return np.mean([[one.visited.sum(), (~one.alive).sum(), one.visited @ robot_value] for one in runs], axis=0)
 
 

@@ -343,7 +343,7 @@ def sampled(visited: np.ndarray, start: int = 0, lost: int = 0, robots: int = 4)
 def known(visited: int) -> Known:
     counts = make_counts(CELLS_HALVING, CELLS_HALVING, 4, 10, False)
     counts.visited[visited] = WHOLE
-    return Known.of_tree(Tree(counts, 1))
+    return Known(Tree(counts, 1))
 
 
 def test_every_look_halves_those_left_and_doubles_their_rollouts() -> None:

@@ -36,6 +36,7 @@ from planner.rollouts.exact_tree import CHEAP, WHOLE, Tree, grow_tree
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.tables import AllPairs
 from planner.rollouts.threshold_classes import classes_by_threshold
+from planner.simulator.jit import INTERPRETED
 from planner.simulator.state import MOST_PASSES, Counts
 from planner.tally import RolloutResults, Tally
 from planner.world.world import World
@@ -46,6 +47,8 @@ SLACK = 1e-4
 """Largest uncertainty of a mean, a fraction of the cells, that counts as exact."""
 EFFORT = 3e8
 """Histories of a tree times cells that take about a second; a fixed amount of work, the same on every machine."""
+AS_PYTHON = 1000
+"""A history takes that much longer where the simulator runs as Python (`NUMBA_DISABLE_JIT=1`)."""
 LARGE = 8
 """Robots above which a history takes longer: by their number, and by its cube if they return to base (64: 366 times) or
 have a limited radio range (35: 40 times)."""
@@ -76,6 +79,7 @@ class TreeTruth(ClosedTruth):
         return {
             "losses": _as_json(robots - most, robots - least),
             "complete": _as_json(*tree.chance_complete()),
+            "delivered": _as_json(*tree.covered("delivered")) if len(tree.counts.delivered) else None,
             "quantiles": {
                 figure: {f"{q:g}": _as_json(*tree.quantile(figure, q)) for q in QUANTILES} for figure in MEANINGS
             },
@@ -128,6 +132,7 @@ def tree_of(loop: ClosedLoop, seconds: float, slack: float = SLACK, fine_seconds
     """
     cells = loop.accessible
     slower = max(loop.robots / LARGE, 1.0) ** (3 if loop.comes_home or len(loop.tables.reach) else 1)
+    slower *= AS_PYTHON if INTERPRETED else 1
     a_second = EFFORT / cells / slower if cells <= MOST_CELLS else 0.0
     most, cheap = (max(int(time * a_second), 2) for time in (seconds, fine_seconds))
     return grow_tree(loop, slack * cells, most, max(cheap, CHEAP))
@@ -197,7 +202,6 @@ def mean_value(
 # of both are `Estimate`s. A difference of two is exact, or on common random numbers. Only this module distinguishes the
 # two.
 
-FIGURES = ("visited", "survived", "alive", "lost", "time", "value")
 Between = tuple[float, float]
 """Certain lower and upper bounds of a figure."""
 
@@ -207,54 +211,49 @@ class Known:
     """Exact figures: "visited" and "survived" cells, robots "alive" and "lost", "time" in steps, share of "value".
 
     Attributes:
-        means: bounds of each mean, which differ only by the unexplored probability; no "value": the map has no values.
-        most: the largest possible value of each figure in a run.
-        stops: float64, expected robots lost in each cell. tree: of all possible histories; None: the open loop.
+        tree: of all possible histories (`Tree`); None: the open loop (`KnownPaths`). metric: the coverage that is
+            compared. value: bounds of the visited share of the value; None: the map has no values.
     """
 
-    means: Mapping[str, Between]
-    most: Mapping[str, float]
-    stops: NDArray[np.float64]
-    tree: Tree | None = None
+    tree: Any
+    value: Between | None = None
+    metric: str = "visited"
     rollouts = 0
     exact = certain = True
 
-    @classmethod
-    def of(
-        cls, means: Sequence[Between], sizes: Sequence[float], stops: NDArray[np.float64], tree: Tree | None = None
-    ) -> Known:
-        """`means`: in the order of FIGURES, of the value only if the map has values. `sizes`: cells, robots, steps."""
-        cells, robots, steps = sizes
-        most = dict(zip(FIGURES, (cells, cells, robots, robots, steps, 1.0), strict=True))
-        return cls(dict(zip(FIGURES, means, strict=False)), most, stops, tree)
-
-    @classmethod
-    def of_tree(cls, tree: Tree, *value: Between) -> Known:
-        """Of the closed loop; `value`: bounds of the visited share of the value; `stops`: of accessible cells."""
-        cells, robots, steps = (len(getattr(tree.counts, name)) - 1.0 for name in ("visited", "alive", "time"))
-        least, alive = tree.alive()
-        covered = tree.covered("visited"), tree.covered("survived")
-        means = (*covered, (least, alive), (robots - alive, robots - least), tree.time(), *value)
-        return cls.of(means, (cells, robots, steps), tree.counts.stops / WHOLE, tree)
-
     @property
     def counted(self) -> str:
-        """The figure that is compared: value if the map has values, else cells."""
-        return "value" if "value" in self.means else "visited"
+        """The figure that is compared: visited value if the map has values, else cells."""
+        return "value" if self.valued and self.metric == "visited" else self.metric
+
+    @property
+    def valued(self) -> bool:
+        """Whether the map has values."""
+        return self.value is not None
 
     @property
     def share(self) -> float:
         """Mean share of all cells, or of all value, that is visited."""
-        low, high = self.means[self.counted]
-        return (low + high) / 2 / self.most[self.counted]
+        low, high = self.between(self.counted)
+        return (low + high) / 2 / self.largest(self.counted)
+
+    def between(self, figure: str) -> Between:
+        """Bounds of the mean; they differ only by the unexplored probability."""
+        if figure == "value":
+            assert self.value is not None
+            return self.value
+        if figure == "lost":
+            low, high = self.tree.alive()
+            return self.largest("lost") - high, self.largest("lost") - low
+        return {"alive": self.tree.alive, "time": self.tree.time}.get(figure, lambda: self.tree.covered(figure))()
 
     def mean(self, figure: str, unit: float = 1.0, most: int | None = None) -> Estimate:
         """A mean, times `unit`."""
-        return stated(self.means[figure], unit, self.most[figure])
+        return stated(self.between(figure), unit, self.largest(figure))
 
     def bounds(self, figure: str, alpha: float) -> Between:
         """Bounds of the mean, for any error probability `alpha`."""
-        return self.means[figure]
+        return self.between(figure)
 
     def chance(self, figure: str, needed: int) -> Estimate:
         """The probability that at least `needed` cells are "visited" or "survived"."""
@@ -262,13 +261,12 @@ class Known:
 
     def chance_bounds(self, figure: str, needed: int, alpha: float) -> Between:
         """Bounds of that probability."""
-        assert self.tree is not None
         return self.tree.chance_of(figure, needed)
 
     def ahead(self, base: Measured, figure: str, unit: float = 1.0) -> Estimate:
         """The difference of a figure from that of `base`, which is exact too, times `unit`."""
         assert isinstance(base, Known)
-        (low, high), (least, most), reach = self.means[figure], base.means[figure], self.most[figure]
+        (low, high), (least, most), reach = self.between(figure), base.between(figure), self.largest(figure)
         apart = (low - most, high - least)
         if abs(sum(apart)) <= apart[1] - apart[0] + ROUNDING * reach:  # not distinguishable
             apart = (min(apart[0], 0.0), -min(apart[0], 0.0)) if apart[1] > apart[0] else (0.0, 0.0)
@@ -276,12 +274,25 @@ class Known:
 
     def by_step(self) -> NDArray[np.float64]:
         """Mean share of the cells visited by the end of each step, float64 `[T + 1]`."""
-        assert self.tree is not None
         return np.cumsum(self.tree.counts.new) / WHOLE / self.largest("visited")
 
     def largest(self, figure: str) -> float:
         """The largest possible value of a figure in a run."""
-        return self.most[figure]
+        axis = {"lost": "alive", "survived": "visited", "delivered": "visited"}.get(figure, figure)
+        return 1.0 if axis == "value" else len(getattr(self.tree.counts, axis)) - 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class KnownPaths(Known):
+    """Exact means of the open loop, with their largest values, by figure; chances of a coverage are not known."""
+
+    figures: Mapping[str, tuple[float, float]] = field(kw_only=True)
+
+    def between(self, figure: str) -> Between:
+        return self.figures[figure][0], self.figures[figure][0]
+
+    def largest(self, figure: str) -> float:
+        return self.figures[figure][1]
 
 
 def stated(between: Between, unit: float, most: float) -> Estimate:
@@ -297,7 +308,7 @@ class Sampled:
 
     Attributes:
         tally, results: of the rollouts; results may be omitted if nothing is compared. seed: of a closed loop, or None.
-        valued: the map has values. certain: all rollouts are equal. seconds: computing time.
+        valued: the map has values. certain: all rollouts are equal. seconds: computing time. metric: as in `Known`.
     """
 
     tally: Tally
@@ -306,13 +317,14 @@ class Sampled:
     valued: bool = False
     certain: bool = False
     seconds: float = 0.0
+    metric: str = "visited"
     exact = False
 
     def __add__(self, other: Sampled) -> Sampled:
         assert self.results is not None
         assert other.results is not None
         both = RolloutResults.join([self.results, other.results])
-        return Sampled(self.tally + other.tally, both, self.seed, self.valued, self.certain)
+        return replace(self, tally=self.tally + other.tally, results=both, seconds=0.0)
 
     @property
     def rollouts(self) -> int:
@@ -322,7 +334,7 @@ class Sampled:
     @property
     def counted(self) -> str:
         """As in `Known`."""
-        return "value" if self.valued else "visited"
+        return "value" if self.valued and self.metric == "visited" else self.metric
 
     @cached_property
     def share(self) -> float:
@@ -460,26 +472,32 @@ class Trial:
         """Expected number of robots lost in each cell, float64 `[N]`."""
         if isinstance(found, Sampled):
             return found.tally.stops / found.rollouts
-        return found.stops if self.loop is None else self.loop.on_grid(found.stops)
+        if self.open_loop is not None:
+            return self.open_loop.stops_by_cell
+        assert self.loop is not None
+        return self.loop.on_grid(found.tree.counts.stops / WHOLE)
 
     def _exactly(self, seconds: float) -> Known | None:
-        loop, end, worth = self.loop, self.choices.deadline, CellValues.of(self.world)
-        if loop is None:
-            exact = self.open_loop
-            assert exact is not None
-            if not exact.is_known:
-                raise PlanError("the open loop's exact values are not known for this team", fix="use fewer robots")
-            means = [exact.visited, exact.survived, exact.survival.sum(), exact.expected_losses, exact.mean_time]
-            means += [] if self.world.value is None else [exact.visited_by_cell @ worth.value / worth.total]
-            sizes = self.world.accessible(self.plan.starts).sum(), len(exact.survival), len(exact.time_chance) - 1
-            return Known.of([(float(mean), float(mean)) for mean in means], sizes, exact.stops_by_cell)
+        loop, end, worth, exact = self.loop, self.choices.deadline, CellValues.of(self.world), self.open_loop
+        if exact is not None and not exact.is_known:
+            raise PlanError("the open loop's exact values are not known for this team", fix="use fewer robots")
+        if exact is not None:
+            share = float(exact.visited_by_cell @ worth.value / worth.total)
+            cells, robots = float(self.world.accessible(self.plan.starts).sum()), float(len(exact.survival))
+            figures = {
+                "visited": (exact.visited, cells), "survived": (exact.survived, cells), "alive": (exact.alive, robots),
+                "lost": (exact.expected_losses, robots), "time": (exact.mean_time, len(exact.time_chance) - 1.0),
+                "value": (share, 1.0),
+            }  # fmt: skip
+            return KnownPaths(None, None if self.world.value is None else (share, share), figures=figures)
+        assert loop is not None
         tree = tree_of(loop if end is None else loop.until(end), seconds)
         if tree is None or (seconds == 0 and tree.counts.stops.any()):  # only if no robot can be lost
             return None
         if self.world.value is None:
-            return Known.of_tree(tree)
+            return Known(tree, metric=self.choices.metric)
         low, high = (float(chance @ worth.value[loop.cells]) / worth.total for chance in tree.cells("visited"))
-        return Known.of_tree(tree, (low, high))
+        return Known(tree, (low, high), self.choices.metric)
 
     def sample(self, start: int, count: int) -> Sampled:
         """Rollouts `start .. start + count - 1` with single results; the last sample is cached."""
@@ -502,7 +520,8 @@ class Trial:
             yield self._sampled(chunk.tally, RolloutResults.join(parts) if parts else None, chunk.seconds)
 
     def _sampled(self, tally: Tally, results: RolloutResults | None, seconds: float = 0.0) -> Sampled:
-        return Sampled(tally, results, self._threshold_seed, self._valued, self.certain, seconds)
+        how = self._threshold_seed, self._valued, self.certain, seconds, self.choices.metric
+        return Sampled(tally, results, *how)
 
     @property
     def _threshold_seed(self) -> int | None:

@@ -475,7 +475,7 @@ def exact_means(loop: ClosedLoop, seconds: float) -> Json | None:
     tree = tree_of(loop, seconds)
     if tree is None:
         return None
-    known = Known.of_tree(tree)
+    known = Known(tree)
     found = {name: known.mean(name) for name in ("visited", "survived", "time", "alive")}
     found["complete"] = known.chance("visited", len(tree.counts.visited) - 1)
     return (

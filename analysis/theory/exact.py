@@ -263,6 +263,7 @@ class OpenLoopExact:
 
     Attributes:
         visited_by_cell, survived_by_cell: float64 `[N]`, probability that the cell is covered, in each meaning.
+        delivered_by_cell: float64 `[N]`, probability that it is delivered; NaN without bases, or from a mission state.
         visited_curve, survived_curve: float64 `[T + 1]`, expected cells covered by the end of each step.
         stops_by_cell: float64 `[N]`, expected robots lost in each cell.
         survival: float64 `[K]`, eq. (1).
@@ -273,6 +274,7 @@ class OpenLoopExact:
 
     visited_by_cell: NDArray[np.float64]
     survived_by_cell: NDArray[np.float64]
+    delivered_by_cell: NDArray[np.float64]
     visited_curve: NDArray[np.float64]
     survived_curve: NDArray[np.float64]
     stops_by_cell: NDArray[np.float64]
@@ -280,6 +282,12 @@ class OpenLoopExact:
     alive_chance: NDArray[np.float64]
     time_chance: NDArray[np.float64]
     losses_curve: NDArray[np.float64]
+    json_keys = "visited survived delivered alive losses=expected_losses time=mean_time"
+
+    @property
+    def alive(self) -> float:
+        """Expected number of robots that finish their paths."""
+        return float(self.survival.sum())
 
     @property
     def is_known(self) -> bool:
@@ -295,6 +303,11 @@ class OpenLoopExact:
     def survived(self) -> float:
         """Expected number of cells that some robot entered and survived."""
         return float(self.survived_by_cell.sum())
+
+    @property
+    def delivered(self) -> float:
+        """Expected number of cells delivered (SPEC section 19)."""
+        return float(self.delivered_by_cell.sum())
 
     @property
     def some_left(self) -> float:
@@ -418,17 +431,20 @@ def _exact_joint(plan: Plan, hazard: Hazard, shared: NDArray[np.int64]) -> OpenL
     who = np.concatenate([np.full(int(r.first.sum()), number) for number, r in enumerate(robots)])
     cell, step = (np.concatenate([getattr(r, name)[r.first] for r in robots]) for name in ("cells", "steps"))
     made = np.concatenate([np.flatnonzero(r.first) for r in robots])
+    delivers = np.concatenate(_deliveries(plan, robots))
+    of_meanings = made, made + 1, np.where(delivers >= 0, delivers + 1, -1)
     order = np.lexsort((step, cell))
     begins = np.append(np.flatnonzero(np.diff(cell[order], prepend=-1)), len(cell))
     running = (np.array([r.steps[-1] for r in robots]) > np.arange(horizon)[:, None]).sum(axis=1)
     if float((2.0 ** np.diff(begins)).sum() + (2.0**running).sum() + 2.0**count) * len(shared) > MOST_TERMS:
         return None
-    by_cell, curves = np.zeros((2, hazard.q.size)), np.zeros((2, horizon))
+    by_cell, curves = np.zeros((3, hazard.q.size)), np.zeros((3, horizon))
     for group in np.split(order, begins[1:-1]):
-        for entered in (0, 1):
-            gains = list(_firsts(survive(who[group], made[group] + entered)))
-            by_cell[entered, cell[group[0]]] = math.fsum(gains)
-            np.add.at(curves[entered], step[group], gains)
+        for meaning, entries in enumerate(of_meanings):
+            able = group[entries[group] >= 0]
+            gains = list(_firsts(survive(who[able], entries[able])))
+            by_cell[meaning, cell[group[0]]] = math.fsum(gains)
+            np.add.at(curves[meaning], step[able], gains)
     exactly = survive(range(count), (len(r.cells) for r in robots)).reshape([2] * count)
     for axis in range(count):
         some, all_ = np.moveaxis(exactly, axis, 0)
@@ -436,12 +452,13 @@ def _exact_joint(plan: Plan, hazard: Hazard, shared: NDArray[np.int64]) -> OpenL
     at_most = np.ones(horizon)
     for time in range(horizon):
         late = [number for number, robot in enumerate(robots) if robot.steps[-1] > time]
-        entries = [int(np.searchsorted(robots[number].steps, time, "right")) for number in late]
-        at_most[time] -= math.fsum(_firsts(survive(late, entries)))
+        passed = [int(np.searchsorted(robots[number].steps, time, "right")) for number in late]
+        at_most[time] -= math.fsum(_firsts(survive(late, passed)))
     return replace(
         exact_of(plan, robots, hazard.q.size),
         visited_by_cell=by_cell[0],
         survived_by_cell=by_cell[1],
+        delivered_by_cell=by_cell[2] if plan.bases and plan.state is None else np.full_like(by_cell[2], np.nan),
         visited_curve=np.cumsum(curves[0]),
         survived_curve=np.cumsum(curves[1]),
         alive_chance=np.bincount(np.bitwise_count(np.arange(2**count)), exactly.ravel()).astype(np.float64),
@@ -484,6 +501,10 @@ def exact_of(plan: Plan, robots: list[PathChances], cells: int) -> OpenLoopExact
     horizon, state, none = 1 + max(int(r.steps[-1]) for r in robots), plan.state, np.zeros(0, dtype=np.int64)
     before = (none, none) if state is None else (state.visited, state.survived)
     turns = _turns(robots, before[0])
+    delivered = np.full(cells, np.nan)
+    if plan.bases and state is None:
+        back = zip(robots, _deliveries(plan, robots), strict=True)
+        delivered, _ = _coverage(turns, [np.append(r.passed, 0.0)[entry] for r, entry in back], cells, horizon)
     visited, visited_gain = _coverage(turns, [r.reach[r.first] for r in robots], cells, horizon)
     turns = turns if state is None else _turns(robots, before[1])
     survived, survived_gain = _coverage(turns, [r.passed[r.first] for r in robots], cells, horizon)
@@ -497,6 +518,7 @@ def exact_of(plan: Plan, robots: list[PathChances], cells: int) -> OpenLoopExact
     return OpenLoopExact(
         visited_by_cell=visited,
         survived_by_cell=survived,
+        delivered_by_cell=delivered,
         visited_curve=np.cumsum(visited_gain),
         survived_curve=np.cumsum(survived_gain),
         stops_by_cell=stops,
@@ -505,6 +527,15 @@ def exact_of(plan: Plan, robots: list[PathChances], cells: int) -> OpenLoopExact
         time_chance=_time_chance(robots, horizon),
         losses_curve=np.cumsum(lost),
     )
+
+
+def _deliveries(plan: Plan, robots: list[PathChances]) -> list[NDArray[np.int64]]:
+    """Of the first entry of each cell, by robot: the entry of a base at which it is delivered; -1 if there is none."""
+    found = []
+    for robot, bases in zip(robots, plan.bases or [set()] * len(robots), strict=True):
+        at_base = np.flatnonzero(np.isin(robot.cells, list(bases)))
+        found.append(np.append(at_base, -1)[np.searchsorted(at_base, np.flatnonzero(robot.first))])
+    return found
 
 
 Turn = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
