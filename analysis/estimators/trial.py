@@ -489,7 +489,8 @@ class Trial:
                 "lost": (exact.expected_losses, robots), "time": (exact.mean_time, len(exact.time_chance) - 1.0),
                 "value": (share, 1.0),
             }  # fmt: skip
-            return KnownPaths(None, None if self.world.value is None else (share, share), figures=figures)
+            value = None if self.world.value is None else (share, share)
+            return KnownPaths(None, value, self.choices.metric, figures=figures)
         assert loop is not None
         tree = tree_of(loop if end is None else loop.until(end), seconds)
         if tree is None or (seconds == 0 and tree.counts.stops.any()):  # only if no robot can be lost
