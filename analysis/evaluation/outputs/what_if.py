@@ -170,6 +170,7 @@ class MarginalRisk(Output):
     cost: NDArray[np.float64]
     se: NDArray[np.float64]
     how: str
+    json_keys = "how cells=costs"
 
     @classmethod
     def check(cls, asked: bool, world: World) -> None:
@@ -198,9 +199,6 @@ class MarginalRisk(Output):
         cells = np.argwhere(np.nan_to_num(self.cost) != 0).tolist()
         found = [{"cell": [*at], "cost": float(self.cost[*at]), "se": float(self.se[*at])} for at in cells]
         return sorted(found, key=lambda one: -one["cost"])
-
-    def as_json(self) -> Json:
-        return {"how": self.how, "cells": self.costs}
 
     def elements(self) -> Elements:
         about = f"Cells lost for each percentage point of p added to a cell, with the plan as it is; {self.how}."
