@@ -81,11 +81,8 @@ class Knowledge(Output):
     def check(cls, asked: Sequence[float], world: World) -> None:
         if world.knowledge is None:
             world.with_sensor_range(0)  # raises the more specific error
-            fix = (
-                "give a `true_map` or a `prior_map`"
-                if world.uncertainty is None
-                else "give the scenario `sensor_range: 0`"
-            )
+            drawn = world.uncertainty is not None
+            fix = "give the scenario `sensor_range: 0`" if drawn else "give a `true_map` or a `prior_map`"
             raise UsageError(
                 argument("sensor_range", ",".join(map(str, asked))), expected="a map that robots learn", fix=fix
             )
