@@ -74,8 +74,8 @@ def all_of(plan: Plan, world: World) -> Any:
     """`visited`, `alive`, `time` at least; among latent hazards those of the open loop, without `time`."""
     settings, hazard = plan.settings, world.uncertainty
     if isinstance(hazard, Hazard):
-        values = expected(open_loop(plan, world), persistent(hazard.q.ravel(), hazard.h.ravel()))
-        return SimpleNamespace(**dict(zip(("visited", "survived", "alive"), values, strict=True)))
+        visited, survived, alive, *_ = expected(open_loop(plan, world), persistent(hazard.q.ravel(), hazard.h.ravel()))
+        return SimpleNamespace(visited=visited, survived=survived, alive=alive)
     plain = Settings(policy=settings.policy, density=settings.density)
     if settings == plain and settings.policy in ("mrac", "per_cell"):
         return closed_loop_exact(plan, world)
