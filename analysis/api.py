@@ -156,6 +156,8 @@ class FrontOptions(PlannerOptions, RolledOptions, MetricOptions, total=False):
 class SearchOptions(PolicyOptions, RolledOptions, total=False):
     """Options of `threats`."""
 
+    loop: Loop | None
+
 
 class StartsOptions(SearchOptions, MetricOptions, total=False):
     """Options of `starts`."""
@@ -262,6 +264,7 @@ def _rollouts(options: Mapping[str, Any], **how: Any) -> RolloutChoices:
     from analysis.sampling import RolloutChoices
 
     given = {name: options[name] for name in ("seed", "engine", "deadline", "exact", "metric") if name in options}
+    given["loop"] = options.get("loop") or "closed"
     return RolloutChoices(first_only=_first_only(options), **{**given, **how})
 
 
@@ -798,6 +801,7 @@ def evaluate(
     bound: bool | None = None,
     band: bool = True,
     advice: bool = True,
+    marginal_risk: bool = False,
     show: Callable[[Evaluation], None] | None = None,
     **options: Any,
 ) -> Evaluation | PolicyEvaluation:
@@ -815,6 +819,8 @@ def evaluate(
         bound: Compute the upper bound on maps with more than 1,000 dangerous cells too.
         band: also sample how coverage grows over time, for `plots`.
         advice: Coverage and losses of other settings (a few seconds; compiles on the first run).
+        marginal_risk: Cells lost for one more percent of threat in each cell, with the plan as it is (takes about 1.5
+            times as long as the rollouts).
         show: called with the evaluation so far, before the results that take longer.
         options: any further output of `analysis.evaluation.outputs`, by its key.
 
@@ -836,7 +842,7 @@ def evaluate(
     for name in asked.keys() - OUTPUTS.keys():
         known = [name for name, one in signature(evaluate).parameters.items() if one.kind is one.KEYWORD_ONLY]
         raise UnknownArgument.of(evaluate, name, asked[name], known)
-    asked["threat_scale"] = tuple(threat_scale)
+    asked |= {"threat_scale": tuple(threat_scale), "marginal_risk": marginal_risk}
     asked |= {"knowledge": tuple(sensor_range)} if len(sensor_range) else {}
     check_asked(world, **asked)
     asked |= {"band": band, "advice": advice}

@@ -169,6 +169,7 @@ PRESUMING: dict[str, Callable[[World], Any]] = {
     "starts": lambda world: mrac.starts(world, robots=2),
     "clear": lambda world: mrac.threats(world, remove=1, robots=2),
     "threat_scale": lambda world: mrac.evaluate(world, 2, threat_scale=(0.5,)),
+    "marginal_risk": lambda world: mrac.evaluate(world, 2, marginal_risk=True),
     "drive": lambda world: mrac.drive(world, 2).outlook(),
 }
 UNKNOWN = {

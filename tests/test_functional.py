@@ -18,6 +18,8 @@ from helpers import run_python
 from open_loop_reference import fixture, plan_of
 from test_mrac_jax_open_loop import waiting_plan
 
+import mrac_jax as mrac
+from analysis.evaluation.outputs import what_if
 from analysis.theory.exact import coverage_gradient, open_loop_exact
 from mrac_jax import functional as F
 from planner.errors import InputError, PlanError, UsageError, WorldError
@@ -441,8 +443,26 @@ def test_the_gradient_of_a_resumed_mission_counts_only_later_visits(as_python: N
     said: dict[str, Any] = {"format": "mrac-state", "version": 1, "world": {"shape": [3, 4], "sha256": world.sha256}}
     said |= {"visited": [[0, 0], [0, 1], [0, 2], [2, 1], [2, 2]], "step": 20}
     state = parse_state(said | {"robots": [{"cell": [0, 2]}, {"cell": [2, 2]}]}, world, "")
-    assert 9 in state.survived
     check_against_differences(world, make_plan(world, state.starts, Settings(), state=state))
+
+
+def test_evaluate_says_what_a_percent_more_costs(as_python: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    world, quiet = random_world(4, 5), {"advice": False, "band": False, "bound": False, "rollouts": 64, "seed": 3}
+    plan = team(world, 2, "mrac")
+    exact = closed_loop_gradient(world, plan, exact=True)
+    found = mrac.evaluate(world, plan, marginal_risk=True, **quiet).to_json()["marginal_risk"]
+    costs = {tuple(one["cell"]): one["cost"] for one in found["cells"]}
+    assert found["how"] == "closed loop, exact" and found["cells"][0]["cost"] == max(costs.values())
+    assert costs == {tuple(at): exact.mean[*at] / -100 for at in np.argwhere(np.nan_to_num(exact.mean)).tolist()}
+    asked: list[Any] = []
+    monkeypatch.setattr(what_if, "closed_loop_gradient", lambda *_, **how: asked.append(how) or exact)
+    rolled = mrac.evaluate(world, plan, marginal_risk=True, exact="never", **quiet)
+    how = rolled.outputs["marginal_risk"].how
+    assert (asked, how) == ([{"rollouts": 1024, "seed": 3, "exact": False}], "closed loop, 1,024 rollouts")
+    found = mrac.evaluate(world, plan, loop="open", marginal_risk=True, **quiet).outputs["marginal_risk"]
+    np.testing.assert_array_equal(found.cost[world.free], coverage_gradient(plan, world)[world.free] / -100)
+    with pytest.raises(UsageError, match="requires one p for all visits of a cell, each of them checked"):
+        mrac.evaluate(world, plan, marginal_risk=True, threat_checks="first_visit", **quiet)
 
 
 def test_the_closed_loop_gradient_on_the_device(as_python: None) -> None:

@@ -456,7 +456,7 @@ RINGS: list[Any] = [
     ],
 )
 def test_broken_polygons(tmp_path: Path, wrong: dict, names: str) -> None:
-    with pytest.raises(MapError, match=re.escape(names)) as caught:
+    with pytest.raises(MapError, match=re.escape(names)):
         load(tmp_path, [{"polygons": geojson(tmp_path, wrong)}])
 
 

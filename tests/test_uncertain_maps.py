@@ -304,22 +304,25 @@ def test_jax_counts_the_same(name: str) -> None:
         assert_same_results(*(engine.results(70, 3000) for engine in engines))
 
 
+def check_sampled(plan: Plan, world: World, seed: int, **exact: float) -> None:
+    """Sampled means lie within five standard errors of the exact ones."""
+    tally = make_engine(plan, world, Rolling("open", seed=seed), "numba").tally(0, 40_000)
+    for name, value in exact.items():
+        counts = getattr(tally, name)
+        mean = counts @ np.arange(len(counts)) / 40_000
+        assert abs(mean - value) <= 5 * np.sqrt(counts @ (np.arange(len(counts)) - mean) ** 2) / 40_000, name
+
+
 @pytest.mark.parametrize("paths", [PATHS[:1], [[0, 1, 0, 1, 2]], PATHS], ids=["one", "to and fro", "three"])
 @pytest.mark.parametrize("kind", ["persistent", "consumed", "maps"])
 def test_exact_values_are_those_of_everything_that_can_happen(kind: str, paths: list[list[int]]) -> None:
     robots = len(paths)
-    maps = [
-        TINY_OPEN_LOOP.threat,
-        np.where(TINY_OPEN_LOOP.threat > 0.2, np.float32(0.6), TINY_OPEN_LOOP.threat),
-        0 * TINY_OPEN_LOOP.threat,
-    ]
-    q, h = np.full(TINY_OPEN_LOOP.shape, 0.6), np.full(TINY_OPEN_LOOP.shape, 0.5)
+    threat = TINY_OPEN_LOOP.threat
+    maps = [threat, np.where(threat > 0.2, np.float32(0.6), threat), 0 * threat]
+    q, h = (np.full(threat.shape, chance, np.float32) for chance in (0.6, 0.5))
     world = TINY_OPEN_LOOP.with_maps(maps) if kind == "maps" else TINY_OPEN_LOOP.with_latent_hazard(kind, q, h)
-    draw = (
-        one_of([one.ravel() for one in maps])
-        if kind == "maps"
-        else persistent(world.uncertainty.q.ravel(), world.uncertainty.h.ravel(), kind == "consumed")
-    )
+    by_hazard = persistent(q.ravel(), h.ravel(), kind == "consumed")
+    draw = one_of([one.ravel() for one in maps]) if kind == "maps" else by_hazard
     plan = external_plan(world, paths)
     visited, survived, alive, _ = expected(open_loop(plan, world), draw)
     exact = open_loop_exact(plan, world)
@@ -330,12 +333,7 @@ def test_exact_values_are_those_of_everything_that_can_happen(kind: str, paths: 
         np.testing.assert_allclose([exact.visited, exact.survived], [visited, survived], rtol=1e-9)
         np.testing.assert_allclose(exact.alive_chance @ np.arange(robots + 1), alive, rtol=1e-9)
         np.testing.assert_allclose(exact.stops_by_cell.sum(), robots - alive, rtol=1e-9)
-    tally = make_engine(plan, world, Rolling("open", seed=2), "numba").tally(0, 40_000)
-    for name, value in (("visited", visited), ("survived", survived), ("alive", alive)):
-        counts = getattr(tally, name)
-        mean = counts @ np.arange(len(counts)) / 40_000
-        error = np.sqrt(counts @ (np.arange(len(counts)) - mean) ** 2) / 40_000
-        assert abs(mean - value) <= 5 * error, name
+    check_sampled(plan, world, 2, visited=visited, survived=survived, alive=alive)
 
 
 def test_one_robot_is_exact_by_level_and_teams_are_known_robot_by_robot() -> None:
@@ -365,11 +363,7 @@ def test_teams_among_hazards_in_many_shared_cells(robots: int, h: float, percent
     assert abs(100 * exact.visited / cells - percent) < 0.0006
     np.testing.assert_allclose(exact.visited_curve[-1], exact.visited, rtol=1e-12)
     assert robots - exact.alive_chance @ np.arange(robots + 1) == pytest.approx(exact.expected_losses, rel=1e-12)
-    tally = make_engine(plan, world, Rolling("open", seed=5)).tally(0, 20_000)
-    for name, value in (("visited", exact.visited), ("survived", exact.survived), ("time", exact.mean_time)):
-        counts = getattr(tally, name)
-        mean = counts @ np.arange(len(counts)) / 20_000
-        assert abs(mean - value) <= 5 * np.sqrt(counts @ (np.arange(len(counts)) - mean) ** 2) / 20_000, name
+    check_sampled(plan, world, 5, visited=exact.visited, survived=exact.survived, time=exact.mean_time)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -43,7 +43,7 @@ ANSWER, PLACE = "Answer", "Place"
 @command(
     ANSWER, api.evaluate, THE_TEAM, PLANNING, "plan state", ONE_PLAN, "seconds",
     "Rollouts: threat_scale? sensor_range?",
-    "bound theory", "Output: advice?", "out json",
+    "bound theory", "Output: advice? marginal_risk?", "out json",
     policy=ANY_POLICY,
     theory=option(OUTPUT, "List the paper's formulas, each with a verdict.", "flag", default=False, rare=True),
     out="Write the page, pictures, plan and JSON to this folder.",
@@ -60,7 +60,9 @@ def evaluate(source: INPUT, /, given: Given) -> int:
 
     def first(world: World) -> None:
         """Print the notes of the map's reader before the work starts."""
-        check_asked(world, threat_scale=given.threat_scale, knowledge=given.sensor_range)
+        check_asked(
+            world, threat_scale=given.threat_scale, knowledge=given.sensor_range, marginal_risk=given.marginal_risk
+        )
         early.extend(world.notes)
         say(early)
 
@@ -208,8 +210,8 @@ def studio(source: INPUT, /, given: Given) -> int:
 
 
 @command(
-    PLACE, api.starts, "robots cell_size step_seconds speed", COMPARED, TAKING_OVER, "Goal: depot candidates metric",
-    "scenario_out out json",
+    PLACE, api.starts, "robots cell_size step_seconds speed", "Rollouts: loop?", COMPARED, TAKING_OVER,
+    "Goal: depot candidates metric", "scenario_out out json",
     scenario_out=option(OUTPUT, "Write the scenario with the best starts (.yaml) to this file.", "path"),
     out="Write the page, the picture, the plan and JSON to this folder.",
 )  # fmt: skip
@@ -238,7 +240,7 @@ def starts(source: INPUT, /, given: Given) -> int:
 
 
 @command(
-    PLACE, api.threats, THE_TEAM, COMPARED, TAKING_OVER, "Goal: remove add unit p", "out json",
+    PLACE, api.threats, THE_TEAM, "Rollouts: loop?", COMPARED, TAKING_OVER, "Goal: remove add unit p", "out json",
     out="Write the page, pictures, JSON and, with --add, both maps (known.yaml, hidden.npz) to this folder.",
 )  # fmt: skip
 def threats(source: INPUT, /, given: Given) -> int:

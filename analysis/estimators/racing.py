@@ -50,7 +50,7 @@ USUAL = 4096
 
 def check_search(world: World, settings: Settings, choices: RolloutChoices, name: str) -> None:
     """Raise InputError for input that searches do not support: uncertain maps, open-loop plans, too many rollouts."""
-    world.require_certain_map(name)
+    world.require_certain_map(name, hazards=choices.loop == "open")
     settings.require_uniform(name)
     if settings.plan_for != "closed_loop":
         raise PlanError(f"plan_for is {settings.plan_for} in {name}", expected="closed_loop", fix="leave it out")
@@ -59,9 +59,9 @@ def check_search(world: World, settings: Settings, choices: RolloutChoices, name
         raise UsageError(argument("rollouts", choices.rollouts), expected=expected)
 
 
-def screened(settings: Settings) -> tuple[str, ...]:
+def screened(settings: Settings, world: World) -> tuple[str, ...]:
     """A note if the bounds used for screening are invalid because some failures do not follow p of each visit."""
-    said = settings.failure_model().description
+    said = settings.failure_model().description or (world.uncertainty and world.uncertainty.description)
     return (f"screened without {said}: the bounds only order the candidates",) if said else ()
 
 
@@ -97,7 +97,9 @@ class Search:
     def trial(self, **other: Any) -> Trial:
         """A trial of a new plan, before its nominal run; `other`: a `world`, `starts`, `settings` or `choices`."""
         made = {name: other.get(name, getattr(self, name)) for name in ("world", "starts", "settings", "choices")}
-        plan = allocated_plan(made["world"], made["starts"], made["settings"])
+        # The open loop follows the paths of the nominal run.
+        planner = make_plan if self.choices.loop == "open" else allocated_plan
+        plan = planner(made["world"], made["starts"], made["settings"])
         return Trial(made["world"], plan, made["choices"], self.kept)
 
     @contextmanager

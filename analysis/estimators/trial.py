@@ -5,7 +5,7 @@ A search compares like with like: all results are exact, or all are on the same 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -30,7 +30,7 @@ from analysis.theory.verdicts import MEANINGS, ClosedTruth, Truth, as_stated, ex
 from analysis.utils.progress import announce_compilation
 from planner.errors import PlanError
 from planner.plan.plan import Plan, is_certain
-from planner.rollouts.closed_loop import compile_closed_loop
+from planner.rollouts.closed_loop import compile_closed_loop, tally_from
 from planner.rollouts.engine import Engine, closed_loop_engine, run_chunks, run_with_threshold_sums
 from planner.rollouts.exact_tree import CHEAP, WHOLE, Tree, grow_tree
 from planner.rollouts.loop import ClosedLoop
@@ -114,11 +114,8 @@ def closed_truth(
 
 def _loop_of(plan: Plan, world: World, first_only: bool, kept: AllPairs | None) -> ClosedLoop | None:
     """The loop of which a tree is grown; None: it has no tree, or one that is too large."""
-    from planner.rollouts.closed_loop import compile_closed_loop
-
-    if (world.uncertainty is not None and world.phases is None) or int(
-        world.accessible(plan.starts).sum()
-    ) > MOST_CELLS:
+    has_tree = world.uncertainty is None or world.phases is not None
+    if not has_tree or int(world.accessible(plan.starts).sum()) > MOST_CELLS:
         return None
     try:
         return compile_closed_loop(plan, world, first_only=first_only, kept=kept)
@@ -136,27 +133,19 @@ def tree_of(loop: ClosedLoop, seconds: float, slack: float = SLACK, fine_seconds
     cells = loop.accessible
     slower = max(loop.robots / LARGE, 1.0) ** (3 if loop.comes_home or len(loop.tables.reach) else 1)
     slower *= AS_PYTHON if INTERPRETED else 1
-    most, cheap = (
-        max(int(time * EFFORT / cells / slower), 2) if cells <= MOST_CELLS else 2 for time in (seconds, fine_seconds)
-    )
+    a_second = EFFORT / cells / slower if cells <= MOST_CELLS else 0.0
+    most, cheap = (max(int(time * a_second), 2) for time in (seconds, fine_seconds))
     return grow_tree(loop, slack * cells, most, max(cheap, CHEAP))
 
 
 def _truth_of(tree: Tree, loop: ClosedLoop, plan: Plan, world: World) -> TreeTruth:
-    from planner.rollouts.closed_loop import tally_from
-
-    visited, survived, some_left = (
-        _between(*one) for one in (tree.covered("visited"), tree.covered("survived"), tree.chance_left())
-    )
+    bounds = tree.covered("visited"), tree.covered("survived"), tree.chance_left()
+    visited, survived, some_left = (Truth((low + high) / 2, low, high, "tree") for low, high in bounds)
     stated = as_stated(plan, world, tree.counts.outcomes / WHOLE, "tree")
     counts = [Counts(*map(np.copy, tree.counts))]  # copied, because `tally_from` adds in place
     masses = tally_from(loop, 0, 0, WHOLE, counts) if tree.left <= SLACK else None
     alive, time = tree.mean_alive, tree.mean_time
     return TreeTruth(visited, survived, some_left, stated, 0, alive, time, tree=tree, masses=masses)
-
-
-def _between(low: float, high: float) -> Truth:
-    return Truth((low + high) / 2, low, high, "tree")
 
 
 def _as_json(low: float, high: float) -> float | list[float]:
@@ -172,8 +161,7 @@ UNITS = 2**40
 
 def units_of(worth: CellValues) -> NDArray[np.float64]:
     """Units of each cell before rounding, float64 `[N]`."""
-    share: NDArray[np.float64] = worth.value / worth.total * UNITS
-    return share
+    return np.asarray(worth.value / worth.total * UNITS)
 
 
 def most_units(cells: int) -> int:
@@ -223,11 +211,11 @@ class Known:
     """Exact figures: "visited" and "survived" cells, robots "alive" and "lost", "time" in steps, share of "value".
 
     Attributes:
-        tree: of all possible histories. value: bounds of the visited share of the value; None: the map has no values.
-        metric: the coverage that is compared.
+        tree: of all possible histories (`Tree`); None: the open loop (`KnownPaths`). metric: the coverage that is
+            compared. value: bounds of the visited share of the value; None: the map has no values.
     """
 
-    tree: Tree
+    tree: Any
     value: Between | None = None
     metric: str = "visited"
     rollouts = 0
@@ -292,6 +280,19 @@ class Known:
         """The largest possible value of a figure in a run."""
         axis = {"lost": "alive", "survived": "visited", "delivered": "visited"}.get(figure, figure)
         return 1.0 if axis == "value" else len(getattr(self.tree.counts, axis)) - 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class KnownPaths(Known):
+    """Exact means of the open loop, with their largest values, by figure; chances of a coverage are not known."""
+
+    figures: Mapping[str, tuple[float, float]] = field(kw_only=True)
+
+    def between(self, figure: str) -> Between:
+        return self.figures[figure][0], self.figures[figure][0]
+
+    def largest(self, figure: str) -> float:
+        return self.figures[figure][1]
 
 
 def stated(between: Between, unit: float, most: float) -> Estimate:
@@ -433,10 +434,12 @@ class Trial:
         if choices.loop == "closed":
             announce_compilation(plan)
             self.loop = loop or compile_closed_loop(plan, world, first_only=choices.first_only, kept=kept)
-            whole: Engine = closed_loop_engine(self.loop, choices.seed, choices.engine)
-        else:
-            whole = make_engine_for(world, plan, choices)
-        self._whole = whole
+
+    @cached_property
+    def _whole(self) -> Engine:
+        if self.loop is None:
+            return make_engine_for(self.world, self.plan, self.choices)
+        return closed_loop_engine(self.loop, self.choices.seed, self.choices.engine)
 
     @cached_property
     def engine(self) -> Engine:
@@ -450,8 +453,7 @@ class Trial:
 
     def under(self, truth: World) -> Trial:
         """The same decisions, with the threats of `truth`, a map of the same cells."""
-        assert self.loop is not None
-        return Trial(truth, self.plan, self.choices, loop=self.loop.under(truth))
+        return Trial(truth, self.plan, self.choices, loop=self.loop and self.loop.under(truth))
 
     def known(self, share: float = 1.0) -> Known | None:
         """The exact result; None if it needs more than this `share` of the choices' exact seconds."""
@@ -470,21 +472,31 @@ class Trial:
         """Expected number of robots lost in each cell, float64 `[N]`."""
         if isinstance(found, Sampled):
             return found.tally.stops / found.rollouts
+        if self.open_loop is not None:
+            return self.open_loop.stops_by_cell
         assert self.loop is not None
-        hits = np.zeros(self.world.threat.size)
-        hits[self.loop.cells] = found.tree.counts.stops / WHOLE
-        return hits
+        return self.loop.on_grid(found.tree.counts.stops / WHOLE)
 
     def _exactly(self, seconds: float) -> Known | None:
-        if self.loop is None:
-            return None
-        loop, end = self.loop, self.choices.deadline
+        loop, end, worth, exact = self.loop, self.choices.deadline, CellValues.of(self.world), self.open_loop
+        if exact is not None and not exact.is_known:
+            raise PlanError("the open loop's exact values are not known for this team", fix="use fewer robots")
+        if exact is not None:
+            share = float(exact.visited_by_cell @ worth.value / worth.total)
+            cells, robots = float(self.world.accessible(self.plan.starts).sum()), float(len(exact.survival))
+            figures = {
+                "visited": (exact.visited, cells), "survived": (exact.survived, cells), "alive": (exact.alive, robots),
+                "lost": (exact.expected_losses, robots), "time": (exact.mean_time, len(exact.time_chance) - 1.0),
+                "value": (share, 1.0),
+            }  # fmt: skip
+            value = None if self.world.value is None else (share, share)
+            return KnownPaths(None, value, self.choices.metric, figures=figures)
+        assert loop is not None
         tree = tree_of(loop if end is None else loop.until(end), seconds)
         if tree is None or (seconds == 0 and tree.counts.stops.any()):  # only if no robot can be lost
             return None
         if self.world.value is None:
             return Known(tree, metric=self.choices.metric)
-        worth = CellValues.of(self.world)
         low, high = (float(chance @ worth.value[loop.cells]) / worth.total for chance in tree.cells("visited"))
         return Known(tree, (low, high), self.choices.metric)
 

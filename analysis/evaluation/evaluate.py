@@ -31,7 +31,7 @@ from analysis.evaluation.outputs.advice import Advice
 from analysis.evaluation.outputs.information import Experience, Knowledge
 from analysis.evaluation.outputs.over_time import Band, Deadline, Turning
 from analysis.evaluation.outputs.value import Value
-from analysis.evaluation.outputs.what_if import EqualRobots, MapVariance, ThreatScale, alike
+from analysis.evaluation.outputs.what_if import EqualRobots, MapVariance, MarginalRisk, ThreatScale, alike
 from analysis.page.elements import Run as DrawnRun
 from analysis.report.result import Result, cell_counts
 from analysis.sampling import (
@@ -471,6 +471,7 @@ OUTPUTS: dict[str, type[Output]] = {
     "experience": Experience,
     "team": EqualRobots,
     "map_variance": MapVariance,
+    "marginal_risk": MarginalRisk,
     "advice": Advice,
 }
 """The keys are those of `Evaluation.outputs` and of the JSON object."""
@@ -480,7 +481,7 @@ OUTPUTS: dict[str, type[Output]] = {
 
 FINE_SECONDS = 0.2
 """Seconds for growing a tree to a precision at which rollouts add nothing."""
-TO_LOOK_AT, CONTENT = 8 * FIRST_LOOK, {"band", "advice"}
+TO_LOOK_AT, CONTENT = 8 * FIRST_LOOK, {"band", "advice", "marginal_risk"}
 """Rollouts when the tree is complete, and the outputs for which that number is sufficient."""
 
 

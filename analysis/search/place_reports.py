@@ -179,7 +179,8 @@ def clear_report(clearing: Clearing) -> Report:
         findings=list(clear_findings(clearing)), figures=_clear_key_figures(clearing),
         picture=lambda: _clear_maps(clearing),
         parts=[Section("Threats", [_clear_table(clearing)], _clear_footnotes(clearing))],
-        pictures={"clear.png": lambda: _clear_maps(clearing, 0), "risk_paid.png": lambda: _clear_maps(clearing, 2)},
+        pictures={"clear.png": lambda: _clear_maps(clearing, 0)}
+        | ({} if clearing.world.uncertainty else {"risk_paid.png": lambda: _clear_maps(clearing, 2)}),
     )  # fmt: skip
 
 
@@ -249,13 +250,14 @@ def _clear_maps(clearing: Clearing, only: int | None = None) -> CellMaps:
     known, unknown = by_cell(options, shape, lambda one: one.known), by_cell(options, shape, lambda one: one.unknown)
     won = f"{KINDS_OF_GAIN[clearing.unit]} gained"
     paid = "Cells lost for each percent of threat added to a cell: open loop, same paths. Not the gain of removing it."
+    risk = clearing.world.uncertainty is None  # the gradient is not that of latent hazards
     layers = [
         CellLayer(f"{won}, replanned", "Gain of removing the threat in the cell; the team replans.", known, "covered",
                   short="Replanned"),
         CellLayer(f"{won}, old plan", "Gain of removing the threat; the team keeps its plan.", unknown, "covered",
                   short="Old plan"),
-        CellLayer("Marginal risk", paid, np.maximum(clearing.risk_paid, 0.0), "losses", root=True, blocks="sum",
-                  short="Risk"),
+        *([CellLayer("Marginal risk", paid, np.maximum(clearing.risk_paid, 0.0), "losses", root=True, blocks="sum",
+                     short="Risk")] if risk else []),
     ]  # fmt: skip
     ranked = [one.threat for one in _ranked(clearing)] if only == 0 else []
     parts = [(threat.name, threat.cells, threat in clearing.picks) for threat in ranked]

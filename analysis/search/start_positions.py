@@ -474,7 +474,7 @@ def find_starts(
         field.doing("the best on fresh rollouts")
         fresh = {place: field.race.confirm(field.contender(place)) for place in {field.best, *field.now}}
     field.exact = field.race.exact
-    field.notes += notes + (() if field.now else (ELSEWHERE,)) + screened(settings)
+    field.notes += notes + (() if field.now else (ELSEWHERE,)) + screened(settings, world)
     answer = Starts(
         **field.fields(),
         depot=depot,

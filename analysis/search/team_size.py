@@ -371,7 +371,7 @@ class _Search(Search):
         self, world: World, settings: Settings, goal: Goal, choices: RolloutChoices, progress: ProgressCallback,
         doing: Doing,
     ) -> None:  # fmt: skip
-        world.require_certain_map("the search for the smallest team")
+        world.require_certain_map("the search for the smallest team", hazards=choices.loop == "open")
         starts, notes = team_starts(world, goal)
         super().__init__(world, starts, settings, choices, progress, doing)
         choices, self.goal = self.choices, goal
@@ -441,8 +441,8 @@ class _Search(Search):
 
     def _rolled(self, trial: Trial, start: int = 0, count: int | None = None) -> Iterator[Measured]:
         """The team's estimates: exact, or cumulative after every block of rollouts."""
-        known, choices = trial.known(), self.choices
-        if known is not None:
+        known, choices = trial.known() if trial.loop else None, self.choices
+        if known is not None and known.tree is not None:
             histories = known.tree.histories
             of_things(self.progress, "histories")(histories, histories, known.tree.seconds)
             yield known
@@ -466,7 +466,7 @@ class _Search(Search):
         coverage, chance = found.mean(meaning, 1.0 / self.cells), found.chance(meaning, self.needed)
         value = found.mean("value") if found.valued else None
         low, high = (end / self.cells for end in found.bounds(meaning, self.alpha))
-        if known is not None:
+        if known is not None and known.is_known:
             coverage = exactly(getattr(known, meaning) / self.cells)
             # An exact mean has a degenerate interval.
             low, high = coverage.ci95
@@ -484,7 +484,7 @@ class _Search(Search):
             chance=chance,
             time=found.mean("time", 1.0, longest_run(self.world, trial.plan, self.choices.loop)),
             alive=found.mean("alive"),
-            exact=found.exact or known is not None,
+            exact=found.exact or coverage.half_width == 0,
             value=value,
         )
 

@@ -28,6 +28,7 @@ from planner.plan.plan import Plan
 from planner.settings import Settings
 from planner.world.levels import find_levels
 from planner.world.robot_types import Sources, Thing, Things
+from planner.world.uncertain_maps import Hazard
 from planner.world.world import World
 
 # Threats and the gain of removing, or the cost of placing, each.
@@ -58,6 +59,8 @@ class Threat:
 
     def cleared(self, world: World) -> World:
         """The map without this threat; threats that overlap it remain."""
+        if isinstance(world.uncertainty, Hazard):
+            return with_hazard(world, world.uncertainty, self.cells, 0.0, 1.0)
         if self.thing is not None and world.sources is not None:
             sources = world.sources.without(self.thing)
             return replace(world, threat=sources.threat(), sources=sources)
@@ -70,8 +73,11 @@ class Threat:
     def placed(self, world: World) -> World:
         """The map with this threat in addition, combined by the scenario's rule, else as independent threats.
 
-        `sources` of the new map are the placed threats, each removable, and the map as it was before.
+        `sources` of the new map are the placed threats, each removable, and the map as it was before. Among latent
+        hazards a threat is a hazard that exists for sure, in cells without another.
         """
+        if isinstance(world.uncertainty, Hazard):
+            return with_hazard(world, world.uncertainty, self.cells, 1.0, self.p)
         sources = world.sources
         if sources is None or not np.array_equal(sources.threat(), world.threat, equal_nan=True):
             combine = "product" if sources is None else sources.combine
@@ -79,6 +85,14 @@ class Threat:
         thing = Thing(self.name, self.name, np.arange(len(self.cells)), np.full(len(self.cells), self.p))
         sources = replace(sources, layers=(*sources.layers, Things((thing,), self.cells)))
         return replace(world, threat=sources.threat(), sources=sources)
+
+
+def with_hazard(world: World, hazard: Hazard, cells: NDArray[np.int64], q: float, h: float) -> World:
+    """The map with other latent hazards in some cells."""
+    exists, destroys = hazard.q.copy(), hazard.h.copy()
+    exists.reshape(-1)[cells], destroys.reshape(-1)[cells] = q, h
+    other = replace(hazard, q=exists, h=destroys)
+    return replace(world, threat=other.threat, uncertainty=other)
 
 
 @dataclass(frozen=True)
@@ -362,19 +376,18 @@ class ThreatSearch(Search):
 
     def _screens(self, world: World, threats: Sequence[Threat]) -> list[float]:
         """Cost of each threat to the policy-independent upper bound, in cells or in value."""
-        flow = self.cells <= MOST_CELLS and len(threats) <= SOLVED
-        bound, sign = self._value_bound if self.valued else self._bound, -1.0 if self.placing else 1.0
-        before = bound(world, flow)
-        return [sign * (bound(self.other(world, threat), flow) - before) for threat in threats]
+        flow, sign = self.cells <= MOST_CELLS and len(threats) <= SOLVED, -1.0 if self.placing else 1.0
 
-    def _bound(self, world: World, flow: bool) -> float:
-        return any_strategy(world, self.starts, flow, ways=False).cells
+        def bound(drawn: World) -> float:
+            world = replace(drawn, uncertainty=None)  # latent hazards count as independent visits
+            if not self.valued:
+                return any_strategy(world, self.starts, flow, ways=False).cells
+            if flow:
+                return value_bound(world, self.starts, ways=False)
+            return float(CellValues.of(world).value @ reach_chances(world, self.starts))
 
-    def _value_bound(self, world: World, flow: bool) -> float:
-        """The flow programme with values, or the value weighted by the probability to reach each cell."""
-        if flow:
-            return value_bound(world, self.starts, ways=False)
-        return float(CellValues.of(world).value @ reach_chances(world, self.starts))
+        before = bound(world)
+        return [sign * (bound(self.other(world, threat)) - before) for threat in threats]
 
     def confirm(self, trials: Sequence[Trial]) -> list[Gain]:
         """Gains of the other trials against the first, on fresh rollouts."""
@@ -414,7 +427,7 @@ def threats_of(
 def _things_of(world: World, starts: NDArray[np.int64]) -> list[Threat]:
     """The polygons, points and sites of a scenario that threaten an accessible cell, in the scenario's order."""
     sources = world.sources
-    if sources is None or not np.array_equal(sources.threat(), world.threat, equal_nan=True):
+    if sources is None or world.uncertainty or not np.array_equal(sources.threat(), world.threat, equal_nan=True):
         return []  # the threats were changed after loading, so `sources` is out of date
     reached, threats = world.accessible(starts).reshape(-1), []
     for number, name in enumerate(sources.names):
@@ -468,14 +481,12 @@ def find_clearing(
             now = turns[-1].picked.threat.cleared(now)
             left = [threat for threat in left if threat is not turns[-1].picked.threat]
         (gain,) = search.confirm([search.anew(world), search.anew(now)])
-    search.notes += notes + _notes(len(threats), search.most) + screened(settings)
+    search.notes += notes
+    if len(threats) > search.most:
+        kept = f"the {search.most} with most effect on the upper bound were replanned"
+        search.notes.append(f"of {counted(len(threats), 'threat')}, {kept}")
+    search.notes += screened(settings, world)
     return Clearing(**search.fields(), starts=starts, remove=chosen, turns=tuple(turns), gain=gain)
-
-
-def _notes(threats: int, simulated: int) -> tuple[str, ...]:
-    if threats <= simulated:
-        return ()
-    return (f"of {counted(threats, 'threat')}, the {simulated} with most effect on the upper bound were replanned",)
 
 
 # Placement of threats: greedy, then each is moved while that costs more. Once for informed, once for uninformed robots.
@@ -677,7 +688,7 @@ def find_attack(
         hidden.place(count)
         ends = _confirmed(search, as_is, known.picks, hidden.picks)
     one, other = ends or (Placed(tuple(known.picks)), Placed(tuple(hidden.picks)))
-    search.notes += notes + (screened(settings) if len(places) > search.most else ())
+    search.notes += notes + (screened(settings, world) if len(places) > search.most else ())
     return Attack(**search.fields(), starts=starts, p=float(p), turn=turn, known=one, hidden=other)
 
 
@@ -691,6 +702,8 @@ def places_of(
     free = world.accessible(starts)
     # A threat in a start cell could not be avoided by any plan.
     free[tuple(starts.T)] = False
+    if world.uncertainty is not None:
+        free &= world.threat == 0  # a cell has one latent hazard
     cells = np.flatnonzero(free)
     if not len(cells):
         raise UsageError(f"{world.source}: no accessible cell is left for a threat", expected="a larger map")

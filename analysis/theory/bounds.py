@@ -243,12 +243,8 @@ def _enters(cover: Leg, travel: Leg) -> bool:
 
 def theorem3(expected_alone: float, connecting: ConnectingCells) -> Theorem3:
     """Eq. (6): `sum_i E(R_i) - |C|` from the sum of eq. (4) over the robots, in its four readings."""
-    return Theorem3(
-        interior_set=expected_alone - len(np.unique(connecting.interior)),
-        interior_multiset=expected_alone - len(connecting.interior),
-        travel_set=expected_alone - len(np.unique(connecting.travel)),
-        travel_multiset=expected_alone - len(connecting.travel),
-    )
+    readings = [of for cells in (connecting.interior, connecting.travel) for of in (np.unique(cells), cells)]
+    return Theorem3(*(expected_alone - len(cells) for cells in readings))
 
 
 def ideal_team(threat: NDArray[np.float64], robots: int) -> float:
@@ -332,10 +328,8 @@ def corrected_theorem3(plan: Plan, world: World) -> Meanings[CorrectedTheorem3]:
     Cost: linear in the total length of the paths: a sum, a maximum and a count for each first entry.
     """
     robots = [robot_chances(robot, world) for robot in plan.robots]
-    return Meanings(
-        visited=_mended(robots, [robot.reach for robot in robots], world.threat.size),
-        survived=_mended(robots, [robot.passed for robot in robots], world.threat.size),
-    )
+    chances = [robot.reach for robot in robots], [robot.passed for robot in robots]
+    return Meanings(*(_mended(robots, of_meaning, world.threat.size) for of_meaning in chances))
 
 
 def _mended(robots: list[PathChances], chances: list[NDArray[np.float64]], cells: int) -> CorrectedTheorem3:
@@ -349,11 +343,7 @@ def _mended(robots: list[PathChances], chances: list[NDArray[np.float64]], cells
     expected, others = float(total.sum()), robots_of[shared] - 1
     rest = total[shared] - most[shared]
     covered = 1.0 - (1.0 - most[shared]) * (1.0 - rest / others) ** others
-    return CorrectedTheorem3(
-        count=expected - float(others.sum()),
-        largest=expected - float(rest.sum()),
-        spread=expected - float((total[shared] - covered).sum()),
-    )
+    return CorrectedTheorem3(*(expected - float(of.sum()) for of in (others, rest, total[shared] - covered)))
 
 
 def until_first_loss(plan: Plan, world: World) -> Meanings[float]:

@@ -492,12 +492,8 @@ def _of_each_alone(plan: Plan, world: World) -> OpenLoopExact:
     consumed = isinstance(world.uncertainty, Hazard) and world.uncertainty.kind == "consumed"
     of_each = ("stops_by_cell", "survival", "losses_curve")
     kept = () if consumed or world.movers is not None or not plan.failure_model.is_plain else of_each
-    return OpenLoopExact(
-        **{
-            name: getattr(found, name) if name in kept else np.full_like(getattr(found, name), np.nan)
-            for name in FIELDS
-        }
-    )
+    values = {name: getattr(found, name) for name in FIELDS}
+    return OpenLoopExact(**{name: of if name in kept else np.full_like(of, np.nan) for name, of in values.items()})
 
 
 def exact_of(plan: Plan, robots: list[PathChances], cells: int) -> OpenLoopExact:

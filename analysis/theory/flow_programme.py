@@ -71,14 +71,8 @@ def contract(world: World, starts: NDArray[np.int64], value: NDArray[np.float64]
     if value is not None:
         weight *= 1.0 + world.threat.size * ULP  # rounding of sums
     begin = node[starts[:, 0] * world.shape[1] + starts[:, 1]]
-    return Nodes(
-        weight=weight,
-        threat=threat,
-        starts=np.bincount(begin, minlength=count),
-        reach=np.minimum(reach + slack, 1.0),
-        source=source,
-        target=target,
-    )
+    robots, reach = np.bincount(begin, minlength=count), np.minimum(reach + slack, 1.0)
+    return Nodes(weight, threat, robots, reach, source, target)
 
 
 # A linear programme in HiGHS. Its result is not trusted; the caller certifies it.

@@ -313,18 +313,20 @@ class World:
         looks = self.knowledge is not None and self.knowledge.sense.range > 0
         return looks or self.learned_hazard is not None
 
-    def require_certain_map(self, what: str, or_else: str = "") -> None:
+    def require_certain_map(self, what: str, or_else: str = "", hazards: bool = False) -> None:
         """Check that the map is known, certain and the same for all robots.
 
         Args:
             what: subject of the message: the function that requires it.
             or_else: further text of the fix.
+            hazards: persistent latent hazards are supported.
 
         Raises:
             WorldError: it is not.
         """
         key = "" if self.uncertainty is None else self.uncertainty.key
-        self._refuse(what, self.uncertainty, "requires one known map", f"leave `{key}` out{or_else}")
+        if not (hazards and isinstance(self.uncertainty, Hazard) and self.uncertainty.kind == "persistent"):
+            self._refuse(what, self.uncertainty, "requires one known map", f"leave `{key}` out{or_else}")
         self.require_known_map(what, or_else)
         fix = f"leave `matrix` and `types` out{or_else}"
         self._refuse(what, self.types, "requires the same p for every robot", fix)

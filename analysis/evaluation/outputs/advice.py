@@ -85,9 +85,8 @@ class Advice(Output):
         yield found
         best = found.better()
         if best is not None:
-            other = replace(
-                run.plan, settings=settings_of(settings, best.setting)
-            )  # the closed loop needs only starts and areas
+            # The closed loop needs only starts and areas.
+            other = replace(run.plan, settings=settings_of(settings, best.setting))
             more, lost = _differences(run, other, rollouts)
             if found.saves(best) or more.ci95[0] > 0 >= lost.ci95[0]:
                 yield replace(found, advised=best, difference=more)

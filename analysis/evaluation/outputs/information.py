@@ -81,11 +81,8 @@ class Knowledge(Output):
     def check(cls, asked: Sequence[float], world: World) -> None:
         if world.knowledge is None:
             world.with_sensor_range(0)  # raises the more specific error
-            fix = (
-                "give a `true_map` or a `prior_map`"
-                if world.uncertainty is None
-                else "give the scenario `sensor_range: 0`"
-            )
+            drawn = world.uncertainty is not None
+            fix = "give the scenario `sensor_range: 0`" if drawn else "give a `true_map` or a `prior_map`"
             raise UsageError(
                 argument("sensor_range", ",".join(map(str, asked))), expected="a map that robots learn", fix=fix
             )
@@ -97,11 +94,8 @@ class Knowledge(Output):
     @classmethod
     def measure(cls, asked: Sequence[float], run: Run) -> Iterator[Self]:
         world, known = run.world, run.world.knowledge
-        if (
-            known is None
-            or run.choices.loop == "open"
-            or (isinstance(world.uncertainty, Uncertain) and not world.uncertainty.whole)
-        ):
+        by_level = isinstance(world.uncertainty, Uncertain) and not world.uncertainty.whole
+        if known is None or run.choices.loop == "open" or by_level:
             return
         no_sensor = {0.0} if known.safe_without_sensor(world.free) else set()
         drawn = world.uncertainty is not None  # even with an unlimited range robots plan before they see
@@ -260,9 +254,8 @@ class Experience(Output):
         )
         run.doing("the same team, without learning")
         unaware = replace(world, uncertainty=replace(hazard, learn=False, detector=None))
-        no_learning = Trial(unaware, allocated_plan(unaware, plan.starts, plan.require(world)), choices).sample(
-            0, count
-        )
+        by_prior = allocated_plan(unaware, plan.starts, plan.require(world))
+        no_learning = Trial(unaware, by_prior, choices).sample(0, count)
         learning = Trial(world, plan, choices).sample(0, count)
         run.doing("the same team, known hazards")
         known_hazards = sample_with_known_hazards(world, plan, choices, min(count, MOST_MAPS))
@@ -273,10 +266,8 @@ class Experience(Output):
         if loop.learns:
             known = chance_of(final_odds(loop, choices.seed, 0, ends))
             posterior[loop.cells], entropy[loop.cells] = known.mean(axis=0), entropy_of(known).mean(axis=0)
-        reach, shape = world.accessible(plan.starts), world.shape
-        yield cls(
-            known_hazards, learning, no_learning, world, reach, posterior.reshape(shape), entropy.reshape(shape), ends
-        )
+        layers = (world.accessible(plan.starts), posterior.reshape(world.shape), entropy.reshape(world.shape))
+        yield cls(known_hazards, learning, no_learning, world, *layers, ends)
 
     @property
     def prior(self) -> NDArray[np.float64]:
