@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from analysis.checking.check import MapCheck, Survey
     from analysis.comparison import Comparison, Side
+    from analysis.debrief import Debrief
     from analysis.evaluation.evaluate import Evaluation
     from analysis.mission_protocol import DrivenMission
     from analysis.policy_evaluation.leaderboard import Suite
@@ -589,6 +590,32 @@ def drive(
         found = state if isinstance(state, MissionState) else read_state(state, world)[0]
         made = plan_from_state(world, found, made.require(world))
     return DrivenMission(world, made, patience=patience, gain=gain)
+
+
+def debrief(
+    world: World,
+    tracks: str | Path,
+    plan: Plan | str | Path | None = None,
+    *,
+    lost: Sequence[int | str] | int | str = (),
+) -> Debrief:
+    """Tracks of robots against the map and the plan: coverage, gaps, the loss rate met, and the plan of the rest.
+
+    Args:
+        tracks: CSV (robot, a time or step, and row, col, or x, y, or lon, lat), GPX, GeoJSON lines with `coordTimes`,
+            MCAP poses, or a recording of one rollout.
+        plan: the plan that was to be flown, a Plan or its file.
+        lost: robots that were lost, in addition to those that the tracks say are lost.
+    """
+    from analysis.debrief import make_debrief
+
+    check_world(world)
+    made = None
+    if plan is not None:
+        world, made = plan_of(world, plan)
+    settings = settings_of(world) if made is None or made.settings is None else made.settings
+    names = {str(name) for name in ([lost] if isinstance(lost, int | str) else lost)}
+    return make_debrief(world, Path(tracks), made, settings, names)
 
 
 # Many maps: sweeps, the results in a store, random worlds.

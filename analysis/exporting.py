@@ -102,14 +102,15 @@ class Mission:
 
     def lonlat(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
         """(longitude, latitude) of the centres of cells, degrees. Raises MapError for a map without georeference."""
-        return rounded(principal(self.on_earth(self.world.to_xy(cells))))
+        return rounded(principal(on_earth(self.world, self.world.to_xy(cells))))
 
-    def on_earth(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(longitude, latitude) of points (x, y) in the map frame; longitudes continue beyond 180. Raises MapError."""
-        height, width = self.world.shape
-        middle = self.world.to_lonlat(self.world.at(height / 2, width / 2))
-        assert self.world.georeference is not None
-        return self.world.georeference.to_lonlat(points, about=middle[0])
+
+def on_earth(world: World, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(longitude, latitude) of points (x, y) in the map frame; longitudes continue beyond 180. Raises MapError."""
+    height, width = world.shape
+    middle = world.to_lonlat(world.at(height / 2, width / 2))
+    assert world.georeference is not None
+    return world.georeference.to_lonlat(points, about=middle[0])
 
 
 def rounded(places: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -217,6 +218,23 @@ def outlines(areas: list[NDArray[np.int64]], shape: tuple[int, int]) -> list[lis
 Position = list[float]
 
 
+def polygons(world: World, areas: list[NDArray[np.int64]], called: str = "area") -> list[list[list[list[Position]]]]:
+    """The parts of each area (cells) in longitude and latitude: closed rings, outer ring first.
+
+    Raises MapError for a map without georeference, and for an area over a pole, which has no such ring; `called`: its
+    name in the message.
+    """
+    found = []
+    for number, borders in enumerate(outlines(areas, world.shape)):
+        rings = [on_earth(world, world.at(*ring.T)) for ring in borders]
+        if any(over_a_pole(ring) for ring in rings):
+            problem = f"{called} {number} lies over a pole, and cannot be written in longitude and latitude"
+            fix = "export .tif or .csv, in the map's metres, or .gpx, which holds no areas"
+            raise MapError(problem, source=world.source, expected="no area over a pole", fix=fix)
+        found.append([[rounded(ring).tolist() for ring in part] for part in cut_area(rings)])
+    return found
+
+
 @dataclass(frozen=True)
 class Feature:
     """A path or an area in longitude and latitude, with its properties.
@@ -250,7 +268,7 @@ def _areas(mission: Mission) -> Iterator[Feature]:
     exact value. `believed_threat`: of the prior map, if the team does not know the true map.
     """
     world, areas = mission.world, mission.plan.areas
-    threat, borders = world.threat.ravel(), outlines([area.cells for area in areas], world.shape)
+    threat, parts = world.threat.ravel(), polygons(world, [area.cells for area in areas])
     for number, area in enumerate(areas):
         facts = {
             "area": number,
@@ -261,13 +279,7 @@ def _areas(mission: Mission) -> Iterator[Feature]:
             "covered": _rounded(mission.exact.visited_by_cell[area.cells].mean()),
             "losses": _rounded(mission.exact.stops_by_cell[area.cells].sum()),
         }
-        rings = [mission.on_earth(world.at(*ring.T)) for ring in borders[number]]
-        if any(over_a_pole(ring) for ring in rings):
-            problem = f"area {number} lies over a pole, and cannot be written in longitude and latitude"
-            fix = "export .tif or .csv, in the map's metres, or .gpx, which holds no areas"
-            raise MapError(problem, source=world.source, expected="no area over a pole", fix=fix)
-        parts = [[rounded(ring).tolist() for ring in part] for part in cut_area(rings)]
-        yield Feature(f"area {number}", True, parts, facts)
+        yield Feature(f"area {number}", True, parts[number], facts)
 
 
 def paths(mission: Mission) -> Iterator[Feature]:
@@ -283,7 +295,7 @@ def paths(mission: Mission) -> Iterator[Feature]:
         cells = [stop.cell for stop in mission.stops(number)]
         # A LineString needs two points, even if the robot never moves.
         line = np.array(cells if len(cells) > 1 else cells * 2)
-        lines = [[rounded(part).tolist()] for part in cut_line(mission.on_earth(world.to_xy(line)))]
+        lines = [[rounded(part).tolist()] for part in cut_line(on_earth(world, world.to_xy(line)))]
         yield Feature(f"robot {number}", False, lines, facts, mission.lonlat(line).tolist())
 
 

@@ -42,7 +42,10 @@ from planner.world.start_rule import place_starts
 
 ROOMS = ("planner", "analysis", "mrac_jax")
 DOOR = re.compile(r"mrac_jax|mrac_jax\.__main__|mrac_jax\.env\.suite|analysis\.(api|cli)(\.\w+)?")
-ANSWERS = ("evaluation", "comparison", "checking", "reproduction", "sweeps", "recording", "search", "policy_evaluation")
+ANSWERS = (
+    "evaluation", "comparison", "checking", "reproduction", "sweeps", "recording", "search", "policy_evaluation",
+    "debrief",
+)  # fmt: skip
 KITS = ("statistics", "theory", "page", "pictures", "utils", "report", "exporting")
 
 

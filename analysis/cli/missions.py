@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from planner.formatting import Pace
 
-DRIVE, RECORD = "Drive", "Record"
+DRIVE, RECORD, TRACKS = "Drive", "Record", "Tracks"
 ALTITUDE = option(OUTPUT, "qgc: metres above take-off, 0 for ground robots (default: 20).", "number")
 
 
@@ -148,6 +148,28 @@ def _tell(lines: Iterable[dict[str, Any]], pace: Pace) -> None:
 
     for line in lines:
         print(json.dumps(with_minutes(line, pace), allow_nan=False, separators=(",", ":")), flush=True)  # noqa: T201
+
+
+@command(
+    DRIVE, api.debrief, "tracks plan lost cell_size step_seconds speed", "out json",
+    tracks=option(TRACKS, "Tracks: .csv .gpx .geojson .mcap, with times.", "path", default=...),
+    plan=of("plan", group=TRACKS, help="The plan file that was to be flown."),
+    lost=option(TRACKS, "Robots that were lost: 2,5 (default: those that the tracks say).", "names"),
+    out="Write the page, state.json, the plan of the rest, flown.geojson and JSON to this folder.",
+)  # fmt: skip
+def debrief(source: INPUT, /, given: Given) -> int:
+    """Tracks against the map and the plan: coverage, gaps, the loss rate met, and the plan of the rest.
+
+    Places are joined by straight lines, but not across a time of more than five usual intervals. With --speed or
+    --step-seconds, places within half a step are averaged, so that noise below half a cell adds few visits. Each
+    robot's own clock counts.
+    """
+    console.check_folder(given.out)
+    world = given.asked(source).load()
+    say(world.notes)
+    answer = given.call(api.debrief, world)
+    read = (given.tracks, given.plan)
+    return console.deliver(answer, out=given.out, as_json=given.json, source=source, also_read=read)
 
 
 # Recordings.

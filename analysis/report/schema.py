@@ -15,6 +15,7 @@ RESULTS = {
     "check": "analysis.checking.check:MapCheck",
     "check_worlds": "analysis.checking.check:Survey",
     "compare": "analysis.comparison:Comparison",
+    "debrief": "analysis.debrief:Debrief",
     "evaluate": "analysis.evaluation.evaluate:Evaluation",
     "front": "analysis.search.pareto:Front",
     "judge": "analysis.policy_evaluation.policy_evaluation:PolicyEvaluation",
