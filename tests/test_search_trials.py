@@ -291,7 +291,7 @@ def test_robots_that_wear_and_differ(capsys: pytest.CaptureFixture[str], tmp_pat
     plain = mrac.front(WORLD, 2, robot_values=[8], risk_caps=[])
     assert front.points[0].coverage.mean != plain.points[0].coverage.mean
     truth = {point.setting: point for point in plain.points}
-    sampled = mrac.front(WORLD, 2, **asked, exact="never", rollouts=2000)
+    sampled = mrac.front(WORLD, 2, robot_values=[8], risk_caps=[], exact="never", rollouts=2000)
     same = [point for point in sampled.points if point.setting in truth]
     assert same and all(close(truth[point.setting].coverage, point.coverage, 1e-4) for point in same)
     WORLD.save(tmp_path / "world.npz")

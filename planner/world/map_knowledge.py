@@ -174,7 +174,8 @@ def make_sense(given: float | Sense | Mapping[str, Any], source: str) -> Sense:
     is_range = cells == inf or (RANGE.accepts(cells) and not 0 < cells < 1)
     if keys or not is_range or not isinstance(sight, bool | np.bool_):
         expected = f"{RANGE.expected}; or {{range, sight: true or false}}"
-        raise WorldError(f"sensor_range is {given!r:.60}", source=source, expected=expected)
+        said = given if is_range or keys else cells
+        raise WorldError(f"sensor_range is {said!r:.60}", source=source, expected=expected)
     return Sense(float(cells), bool(sight))
 
 
