@@ -47,7 +47,7 @@ def strangers_in(folder: Path) -> dict[str, str]:
 
 
 def test_every_name_is_there_and_documented() -> None:
-    assert set(mrac.__all__) <= set(dir(mrac))
+    assert set(mrac.__all__) - {"read_outcomes"} == set(dir(mrac))
     for name in mrac.__all__:
         assert getattr(mrac, name).__doc__, name
         assert re.search(rf":members: .*\b{name}\b|`mrac.{name}`", REFERENCE), name
