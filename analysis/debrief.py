@@ -428,8 +428,9 @@ def report(done: Debrief) -> Report:
     rows: dict[str, Sequence[Any]] = {"robots": done.robots, "areas": done.areas, "gaps": done.gap_rows}
     parts = []
     for name, (title, _) in SECTIONS.items():
-        more = len(rows[name]) - SHOWN
-        notes = [NOTE] * (name == "robots") + [f"{more} more on the page and in the JSON object"] * (more > 0)
+        notes = [NOTE] * (name == "robots") + [f"A terminal shows {SHOWN} of {len(rows[name])}."] * (
+            len(rows[name]) > SHOWN
+        )
         if rows[name]:
             tables = [_table(name, rows[name][:SHOWN])], [_table(name, rows[name])]
             parts.append(Section(title, tables[0], notes, whole=tables[1]))
@@ -495,7 +496,7 @@ def _map(done: Debrief) -> CellMaps:
     from matplotlib.colors import ListedColormap, Normalize
 
     layer = CellLayer(
-        "Flown and left", "1: some robot entered the cell; 0: none did.",
+        "Flown and left", "Green: some robot entered the cell; orange: none did.",
         done.visited.astype(np.float64).reshape(done.world.shape), ListedColormap(["#fc8d62", "#66c2a5"]),
         norm=Normalize(0, 1), labels=(0.0, 1.0), names=("left", "flown"), short="Flown",
     )  # fmt: skip

@@ -122,10 +122,11 @@ def layer_figure(maps: CellMaps) -> Figure:
     _draw_parts(axes, maps, points)
     mark_starts(axes, starts, world.shape, points)
     heading = Key(layer.name, layer.about, scale, layer.unit and f"in {layer.unit}",
+                  np.arange(len(layer.names), dtype=np.float64) if layer.names else None, layer.names,
                   handles=(start_handle(starts), *terrain_handles(world, accessible)), lines=maps.lines)  # fmt: skip
     with_key(figure, layout, heading)
-    figure.axes[1].xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{scaled * value:.3g}"))
-    figure.axes[1].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{scaled * value:.3g}"))
+    for axis in () if layer.names else (figure.axes[1].xaxis, figure.axes[1].yaxis):
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{scaled * value:.3g}"))
     return figure
 
 
