@@ -428,12 +428,10 @@ def report(done: Debrief) -> Report:
     rows: dict[str, Sequence[Any]] = {"robots": done.robots, "areas": done.areas, "gaps": done.gap_rows}
     parts = []
     for name, (title, _) in SECTIONS.items():
-        notes = [NOTE] * (name == "robots") + [f"A terminal shows {SHOWN} of {len(rows[name])}."] * (
-            len(rows[name]) > SHOWN
-        )
+        cut = [f"A terminal shows {SHOWN} of {len(rows[name])}."] * (len(rows[name]) > SHOWN)
         if rows[name]:
             tables = [_table(name, rows[name][:SHOWN])], [_table(name, rows[name])]
-            parts.append(Section(title, tables[0], notes, whole=tables[1]))
+            parts.append(Section(title, tables[0], [NOTE] * (name == "robots") + cut, whole=tables[1]))
     saved: dict[str, Callable[[], str]] = {}
     for file, part in (("state.json", done.state), ("rest.json", done.rest)):
         if part is not None:
