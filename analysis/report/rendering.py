@@ -61,7 +61,7 @@ def page_of(report: Report, command: str, pictures: Mapping[str, bytes], files: 
     )
     return document(
         sections, report=report, words=words, notes=notes, warnings=report.warnings,
-        below=_charts(report.below(), "h2"), picture=None if shown is None else _html(shown),
+        below=_charts(report.below(), "h2"), picture=None if shown is None else _html(shown, "h2"),
         broad=width > BROAD * height,
     )  # fmt: skip
 
@@ -78,16 +78,14 @@ def _charts(charts: Sequence[Chart], heading: str = "h3") -> Html:
     return block("charts", [html for chart in charts if (html := chart_html(chart, heading))])
 
 
-def _html(drawn: Chart | CellMaps) -> Html:
-    return chart_html(drawn) if isinstance(drawn, Chart) else _maps_html(drawn)
-
-
-def _maps_html(maps: CellMaps) -> Html:
-    """The maps; for a plan, with its paths and runs."""
-    world, plan = maps.world, maps.plan
+def _html(drawn: Chart | CellMaps, heading: str = "h3") -> Html:
+    """A chart or maps, under headings of this level; the maps of a plan have its paths and runs."""
+    if isinstance(drawn, Chart):
+        return chart_html(drawn, heading)
+    maps, world, plan = drawn, drawn.world, drawn.plan
     if plan is not None:
         return plan_map_html(maps.layers, world, plan, *maps.runs, values_of=maps.values_of)
-    return cell_maps_html(maps.layers, world, np.unique(maps.starts, axis=0), anchor=maps.anchor)
+    return cell_maps_html(maps.layers, world, np.unique(maps.starts, axis=0), heading=heading, anchor=maps.anchor)
 
 
 # Charts and maps as pictures for slides and papers.
