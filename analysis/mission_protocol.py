@@ -20,7 +20,7 @@ from analysis.statistics.variance_reduction import Paired, difference
 from planner.arguments import MOST_ROLLOUTS, POSITIVE, whole
 from planner.errors import InputError, UsageError
 from planner.files import Json
-from planner.json_objects import as_json
+from planner.json_objects import WithKeys
 from planner.mission.map_updates import hand_on
 from planner.mission.mission import Mission
 from planner.mission.team_control import Order
@@ -152,7 +152,7 @@ BLOCK = 512
 
 
 @dataclass(frozen=True)
-class Outlook:
+class Outlook(WithKeys):
     """Expectations at the end of a mission, from its present state.
 
     Attributes:
@@ -170,14 +170,9 @@ class Outlook:
     home: Estimate | None = None
     json_keys = "rollouts covered lost steps complete home?"
 
-    def to_json(self) -> Json:
-        """As a JSON object."""
-        said: Json = as_json(self)
-        return said
-
 
 @dataclass(frozen=True)
-class WhatIf:
+class WhatIf(WithKeys):
     """The outlook of a mission with and without changes, with common random numbers.
 
     Attributes:
@@ -189,11 +184,6 @@ class WhatIf:
     covered: Estimate
     lost: Estimate
     json_keys = "now then difference.covered=covered difference.lost=lost"
-
-    def to_json(self) -> Json:
-        """As a JSON object."""
-        said: Json = as_json(self)
-        return said
 
 
 class DrivenMission(Mission):

@@ -21,7 +21,6 @@ from scipy.special import ndtri
 
 from analysis.page.elements import Chart, Series
 from analysis.report.model import Report, Section
-from analysis.report.result import json_end
 from analysis.sampling import RolloutChoices
 from analysis.statistics import variance_reduction as control_variate
 from analysis.statistics.estimates import Estimate, over_maps
@@ -34,6 +33,7 @@ from analysis.utils.tables import csv_text, make_table
 from planner.arguments import check_word
 from planner.files import Json
 from planner.formatting import counted, in_percent, percent
+from planner.json_objects import as_json
 from planner.tally import Tally, add_padded
 from planner.world.generate import Kind
 
@@ -569,7 +569,7 @@ def reproduction_json(answer: Reproduction) -> Json:
     """The JSON object of `reproduce` without its summary; coverage is a fraction."""
     figures = {name: [_point_json(point) for point in answer.of(name)] for name in answer.figures}
     asked = {name: getattr(answer, name) for name in ("maps", "rollouts", "seed")}
-    return {**asked, "figures": figures, "statements": answer.findings, **answer.finished.to_json(), **json_end(answer)}
+    return {**asked, "figures": figures, "statements": answer.findings, **answer.finished.to_json(), **as_json(answer)}
 
 
 def _point_json(point: Point) -> Json:

@@ -235,8 +235,8 @@ def expected_coverage(arrays: PlanArrays, p: ArrayLike, value: ArrayLike | None 
     visited = 1.0 - jnp.prod(1.0 - survival(arrays, p), axis=0)
     if value is None:
         return visited.sum()
-    worth = _layer(arrays, "value", value, np.isfinite, "a finite number in every free cell")
-    return (visited * worth.astype(visited.dtype)).sum()
+    values = _layer(arrays, "value", value, np.isfinite, "a finite number in every free cell")
+    return (visited * values.astype(visited.dtype)).sum()
 
 
 def _effective_hazard(arrays: PlanArrays, hazard: Array) -> Array:

@@ -85,11 +85,11 @@ def least_word(exposure: ArrayLike) -> NDArray[np.int64]:
     Args:
         exposure: int64, cumulative hazards.
     """
-    borne = np.asarray(exposure, dtype=np.int64)
-    low, high = np.zeros_like(borne), np.full_like(borne, UNIT)
+    hazard = np.asarray(exposure, dtype=np.int64)
+    low, high = np.zeros_like(hazard), np.full_like(hazard, UNIT)
     for _ in range(33):
         middle = np.minimum((low + high) >> 1, UNIT - 1)
-        stops = threshold_of(middle) <= borne
+        stops = threshold_of(middle) <= hazard
         low, high = np.where(stops | (low == high), low, middle + 1), np.where(stops, middle, high)
     return high
 
@@ -116,18 +116,18 @@ def tolerances(seed: int, rollouts: ArrayLike, robots: int) -> NDArray[np.int64]
 
 def susceptible(tolerance: ArrayLike, hazard_multiplier: float) -> NDArray[np.int64]:
     """Thresholds of a robot with a hazard multiplier: int64, from Exp(1) or Weibull thresholds."""
-    borne, times = np.asarray(tolerance, dtype=np.int64), round(hazard_multiplier * SCALE)
-    return np.maximum(1, (borne // times << 16) + ((borne % times << 16) // times))
+    hazard, times = np.asarray(tolerance, dtype=np.int64), round(hazard_multiplier * SCALE)
+    return np.maximum(1, (hazard // times << 16) + ((hazard % times << 16) // times))
 
 
 def worn(tolerance: ArrayLike, shape: float) -> NDArray[np.int64]:
     """Weibull thresholds of mean 1 and this shape, int64, from Exp(1) thresholds by the quantile function."""
-    borne = np.asarray(tolerance, dtype=np.int64)
+    hazard = np.asarray(tolerance, dtype=np.int64)
     if shape == 1:
-        return borne
-    octave = np.maximum(np.frexp(borne.astype(np.float64))[1].astype(np.int64) - 1 - 6, 0)
-    node = np.where(borne < 64, borne, 64 * octave + (borne >> octave))
-    rest = borne & ((np.int64(1) << octave) - 1)
+        return hazard
+    octave = np.maximum(np.frexp(hazard.astype(np.float64))[1].astype(np.int64) - 1 - 6, 0)
+    node = np.where(hazard < 64, hazard, 64 * octave + (hazard >> octave))
+    rest = hazard & ((np.int64(1) << octave) - 1)
     part = (rest << 16) >> octave
     nodes = weibull_nodes(float(shape))
     return nodes[node] + ((nodes[node + 1] - nodes[node]) * part >> 16)
@@ -270,8 +270,8 @@ class FailureModel:
         drawn, begun = tolerances(seed, rollouts, robots), self.exp1_begun(robots)
         if self.is_even:
             return drawn
-        borne = worn(drawn + begun, self.shape)
-        ones = [susceptible(borne[:, one], times / SCALE) for one, times in enumerate(self.times(robots).tolist())]
+        hazard = worn(drawn + begun, self.shape)
+        ones = [susceptible(hazard[:, one], times / SCALE) for one, times in enumerate(self.times(robots).tolist())]
         return np.stack(ones, axis=1) - np.array(self.begun[:robots] or [0] * robots)
 
     def survival(self, exposure: NDArray[np.float64], robot: int) -> NDArray[np.float64]:
@@ -283,8 +283,8 @@ class FailureModel:
         """
         times, power = self.times(robot + 1)[robot] / SCALE, float(self.shape)
 
-        def nats(borne: NDArray[np.float64]) -> NDArray[np.float64]:
-            return np.asarray((times * borne / weibull_scale(power)) ** power)
+        def nats(hazard: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.asarray((times * hazard / weibull_scale(power)) ** power)
 
         begun = np.array(self.begun[robot] * 2.0**-32 if self.begun else 0.0)
         return np.asarray(np.exp(nats(begun) - nats(begun + exposure)))

@@ -91,6 +91,15 @@ def _object(value: Any, keys: tuple[Key, ...]) -> Json:
     return out
 
 
+class WithKeys:
+    """An object with the keys that its class declares in `json_keys`."""
+
+    def to_json(self) -> Json:
+        """The JSON object of these keys."""
+        said: Json = as_json(self)
+        return said
+
+
 # The JSON Schema of a class: types from annotations, descriptions from docstrings.
 
 TYPES: dict[Any, str] = {int: "integer", float: "number", bool: "boolean", str: "string", NoneType: "null"}

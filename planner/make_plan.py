@@ -244,13 +244,13 @@ def _check_exposures(problem: Problem, state: MissionState) -> None:
     failure_model = problem.settings.failure_model(state.exposures)
     if problem.settings.weibull_shape == 1:
         return
-    borne = failure_model.exp1_begun(len(state.robots))
+    cumulative_hazard = failure_model.exp1_begun(len(state.robots))
     for number, robot in enumerate(state.robots):
         if robot.alive and robot.exposure is None:
             fault = f"robot {number} has no exposure (Weibull shape {problem.settings.weibull_shape:g})"
             expected = '"exposure": cumulative hazard of each robot, in nat: the sum of -ln(1 - p) over its visits'
             raise StateError(fault, expected=expected)
-        if robot.alive and borne[number] > MOST:
+        if robot.alive and cumulative_hazard[number] > MOST:
             fault = f"robot {number} has an exposure of {state.exposures[number] / NAT:g} nat"
             raise StateError(fault, expected="no more than any failure threshold")
 

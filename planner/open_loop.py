@@ -333,9 +333,9 @@ def make_open_loop_plan(world: World, starts: ArrayLike, settings: Settings, sec
     none = np.empty(0, dtype=np.int64)
     first = [nodes.order_of(robot.path, none) for robot in nominal.robots]
     orders = [tuple(map(nodes.order_of, alone, before)) for before in ([none] * len(alone), first)]
-    worth = [team_cells(nodes, np.array([*map(partial(chances, nodes), of, begin.tolist())])) for of in orders]
+    covered = [team_cells(nodes, np.array([*map(partial(chances, nodes), of, begin.tolist())])) for of in orders]
     effort = EFFORT if settings.effort is None else settings.effort
-    found, done = search(nodes, orders[int(np.argmax(worth))], begin, effort, SEED, seconds)
+    found, done = search(nodes, orders[int(np.argmax(covered))], begin, effort, SEED, seconds)
     last = MAX_STEP if settings.last_step is None else settings.last_step
     paths = tuple(
         nodes.drive(order, start, problem)[: min(last, moves) + 1]

@@ -132,9 +132,9 @@ def test_the_least_word_that_stops_is_where_tolerances_reach_the_exposure() -> N
         found = least_word(exposure)
         assert (threshold_of(np.minimum(found, 2**32 - 1)) <= exposure)[found < 2**32].all()
         assert (threshold_of(np.maximum(found - 1, 0)) > exposure)[found > 0].all()
-        borne = exposure[exposure > 0]
-        twin = np.zeros_like(borne)
-        in_kernels(words[:0].astype(np.uint32), borne, borne[:0], twin)
+        hazard = exposure[exposure > 0]
+        twin = np.zeros_like(hazard)
+        in_kernels(words[:0].astype(np.uint32), hazard, hazard[:0], twin)
         assert np.array_equal(twin, found[exposure > 0])
     assert least_word([0, MOST, CERTAIN]).tolist() == [2**32, 0, 0]
 
@@ -244,14 +244,14 @@ def test_an_exposure_reaches_the_tolerances_that_wear_brings_down_to_it(shape: f
     drawn = np.concatenate([np.arange(1, 500), threshold_of(words), [MOST]])
     units, nodes = round(times * 2**16), weibull_nodes(shape)
 
-    def borne(tolerance: np.ndarray) -> np.ndarray:
+    def hazard(tolerance: np.ndarray) -> np.ndarray:
         return made_susceptible(worn(tolerance, shape), units / 2**16)
 
     for more in (-1, 0, 1):
-        exposure = borne(drawn) + more
+        exposure = hazard(drawn) + more
         reached = np.minimum(exp1_hazard(exposure, nodes, units), MOST)
-        assert (borne(np.maximum(reached, 1)) <= exposure)[reached > 0].all()
-        assert (borne(np.minimum(reached + 1, MOST)) > exposure)[reached < MOST].all()
+        assert (hazard(np.maximum(reached, 1)) <= exposure)[reached > 0].all()
+        assert (hazard(np.minimum(reached + 1, MOST)) > exposure)[reached < MOST].all()
     assert exp1_hazard(np.array([0, CERTAIN, CERTAIN + 2**37]), nodes, units)[0] == 0
     assert (exp1_hazard(np.array([CERTAIN, CERTAIN + 2**37]), nodes, units) >= 2 * MOST).all()
 
@@ -294,10 +294,10 @@ def everything(plan: Plan, threat: np.ndarray, shape: float, times: list[float])
     for robot, of in zip(plan.robots, times, strict=True):
         path = [int(robot.path[0])]
         path += [int(b) for a, b in itertools.pairwise(robot.path) if a != b]
-        borne, before, mine = 0.0, 1.0, []
+        hazard, before, mine = 0.0, 1.0, []
         for place, cell in enumerate(path):
-            borne -= math.log(1 - float(threat[cell]))
-            left = weibull(borne, shape, of)
+            hazard -= math.log(1 - float(threat[cell]))
+            left = weibull(hazard, shape, of)
             mine.append((before - left, set(path[: place + 1]), set(path[:place]), 0))
             before = left
         ways.append([*mine, (before, set(path), set(path), 1)])
@@ -356,14 +356,14 @@ def test_worn_robots_on_maps_in_doubt(name: str) -> None:
         assert int((trace.doing[-1] != 4).sum()) == alone.alive[trace.rollout] or trace.time == 0
 
 
-def test_the_rest_of_a_mission_goes_on_from_what_was_borne() -> None:
+def test_the_rest_of_a_mission_goes_on_from_its_hazard() -> None:
     plan = make_plan(ROW, ROW.starts[:1], Settings(weibull_shape=1.5, hazard_multiplier=0.5))
     whole, step = PythonLoop(plan, ROW), 3
     state = next(filter(None, (whole.state_at(step, 1, rollout) for rollout in range(50))))
-    borne = state.robots[0].exposure
-    assert borne == sum(ROW.exposures[0][cell] for cell in plan.robots[0].path[: step + 1]) > 0
+    hazard = state.robots[0].exposure
+    assert hazard == sum(ROW.exposures[0][cell] for cell in plan.robots[0].path[: step + 1]) > 0
     saved = parse_state(json.loads(json.dumps(state.to_json())), ROW, "state")
-    assert saved.robots[0].exposure == borne
+    assert saved.robots[0].exposure == hazard
     rest = make_plan(ROW, saved.starts, plan.settings, state=saved)
     loop = compile_closed_loop(rest, ROW)
     tally, singles = run_range(loop, 9, 0, 20_000, singles=True)

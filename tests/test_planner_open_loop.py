@@ -52,9 +52,9 @@ def test_one_robot_gets_the_optimum_of_tiny_worlds(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_one_robot_gets_the_most_value_of_tiny_worlds(seed: int) -> None:
     world = tiny_world(seed, 2, 4)
-    worth = np.random.default_rng(seed).choice([0, 1, 5, 20.5], size=(2, 4))
-    worth[0, 1] = 7.0
-    world = world.with_values(worth)
+    values = np.random.default_rng(seed).choice([0, 1, 5, 20.5], size=(2, 4))
+    values[0, 1] = 7.0
+    world = world.with_values(values)
     plan = planned(world, [[0, 0]], 20_000)
     found = float(CellValues.of(world).value @ open_loop_exact(plan, world).visited_by_cell)
     assert found == pytest.approx(best_of_one_robot(world), abs=1e-9)
@@ -66,9 +66,9 @@ def test_teams_go_where_the_value_is_and_equal_values_change_nothing() -> None:
     starts = place_starts(world, 2)[0]
     east = np.where(np.arange(12) >= 6, 20.0, 1.0) * np.ones((12, 1))
     valued, plain = world.with_values(east), planned(world, starts)
-    worth = CellValues.of(valued).value
+    values = CellValues.of(valued).value
     by_value, by_cells = (
-        float(worth @ open_loop_exact(plan, world).visited_by_cell) for plan in (planned(valued, starts), plain)
+        float(values @ open_loop_exact(plan, world).visited_by_cell) for plan in (planned(valued, starts), plain)
     )
     assert by_value > 1.02 * by_cells
     alike = planned(world.with_values(3.0), starts)

@@ -280,7 +280,7 @@ def means(world: World, plan: Plan, seed: int, samples: int = 1) -> list[list[Es
         lucks = [CommonThresholds.of(robots, luck, column, column) for column, luck in pairs]
         told.append(
             [
-                mean_value(x, units.worth.total, world.threat.size, False, y)
+                mean_value(x, units.cell_values.total, world.threat.size, False, y)
                 for (x, _), y in zip(pairs, lucks, strict=True)
             ]
         )
@@ -331,8 +331,8 @@ def test_what_a_tree_knows_is_what_the_value_table_says(detect: float) -> None:
     assert found.robots_left[0].mean == pytest.approx(known["some_left"]) and found.robots_left[0].half_width == 0
     assert found.losses.mean == pytest.approx(known["losses"]) and found.covered.half_width == 0
     assert (found.found.half_width == 0) == (detect == 1)
-    sampled = Units.of(CellValues.of(world)).covered @ answer.tally.covered_visited / 400 * found.worth.total / 2**40
-    assert abs(found.covered.mean - sampled) < 5 * found.worth.total / 2 / np.sqrt(400)
+    sampled = Units.of(found.cell_values).covered @ answer.tally.covered_visited / 400 * found.cell_values.total / 2**40
+    assert abs(found.covered.mean - sampled) < 5 * found.cell_values.total / 2 / np.sqrt(400)
     rows = dict(zip(*(list(column.cells) for column in value_table(found).columns[:2]), strict=True))
     assert rows["chance that at least 1 robot is left"] == percent(known["some_left"], 2)
     assert {"m2 covered per robot lost", "value covered per robot lost"} <= set(rows)

@@ -159,9 +159,9 @@ UNITS = 2**40
 """The value of all cells in integer units: rounding is 1e-12 of it a cell."""
 
 
-def units_of(worth: CellValues) -> NDArray[np.float64]:
+def units_of(cell_values: CellValues) -> NDArray[np.float64]:
     """Units of each cell before rounding, float64 `[N]`."""
-    return np.asarray(worth.value / worth.total * UNITS)
+    return np.asarray(cell_values.value / cell_values.total * UNITS)
 
 
 def most_units(cells: int) -> int:
@@ -478,11 +478,11 @@ class Trial:
         return self.loop.on_grid(found.tree.counts.stops / WHOLE)
 
     def _exactly(self, seconds: float) -> Known | None:
-        loop, end, worth, exact = self.loop, self.choices.deadline, CellValues.of(self.world), self.open_loop
+        loop, end, cell_values, exact = self.loop, self.choices.deadline, CellValues.of(self.world), self.open_loop
         if exact is not None and not exact.is_known:
             raise PlanError("the open loop's exact values are not known for this team", fix="use fewer robots")
         if exact is not None:
-            share = float(exact.visited_by_cell @ worth.value / worth.total)
+            share = float(exact.visited_by_cell @ cell_values.value / cell_values.total)
             cells, robots = float(self.world.accessible(self.plan.starts).sum()), float(len(exact.survival))
             figures = {
                 "visited": (exact.visited, cells), "survived": (exact.survived, cells), "alive": (exact.alive, robots),
@@ -497,7 +497,9 @@ class Trial:
             return None
         if self.world.value is None:
             return Known(tree, metric=self.choices.metric)
-        low, high = (float(chance @ worth.value[loop.cells]) / worth.total for chance in tree.cells("visited"))
+        low, high = (
+            float(chance @ cell_values.value[loop.cells]) / cell_values.total for chance in tree.cells("visited")
+        )
         return Known(tree, (low, high), self.choices.metric)
 
     def sample(self, start: int, count: int) -> Sampled:

@@ -70,11 +70,6 @@ WIDE = 140
 """Characters in a line of a folder's text file."""
 
 
-def pick(value: Any, names: str) -> Json:
-    """Fields of an object by name, for its JSON object; `names`: separated by spaces."""
-    return {name: getattr(value, name) for name in names.split()}
-
-
 def json_of(report: Report) -> Any:
     """The JSON object of a report, times in minutes too where a step has a length."""
     said = {"format": FORMAT} | with_minutes(as_json(report.json()), report.pace)
@@ -235,12 +230,6 @@ def report_of(result: Result) -> Report:
     return said
 
 
-def json_end(result: Result, notes: Sequence[str] = ()) -> Json:
-    """The last keys of a result's JSON object: version, `partial` if it was interrupted, notes if there are any."""
-    partial: Json = {"partial": True} if result.partial else {}
-    return {"version": version("mrac-jax")} | partial | ({"notes": list(notes)} if notes else {})
-
-
 # Fields that the results of all searches share: map, settings, random numbers, extent.
 
 
@@ -277,6 +266,11 @@ class Searched(Result):
     def team(self) -> int:
         """Number of robots."""
         return len(self.starts)
+
+    @property
+    def first_fresh(self) -> int:
+        """The first id of the rollouts that the search did not use."""
+        return self.choices.rollouts
 
     @property
     def engine_or_none(self) -> str | None:

@@ -284,7 +284,7 @@ class Front(Searched):
     plan_file: str = ""
     json_keys = """
         points=listed_points pick choices.metric asked.losses=goal.losses asked.target=goal.target confirmed
-        confirmed.first_rollout=choices.rollouts confirmed.bound=bound confirmed.tried=tried fresh=listed_corners
+        confirmed.first_rollout=first_fresh confirmed.bound=bound confirmed.tried=tried fresh=listed_corners
         command
     """
 
@@ -296,7 +296,7 @@ class Front(Searched):
     @property
     def listed_corners(self) -> tuple[ListedPoint, ...]:
         """Without a goal: the settings of the summary, on fresh rollouts."""
-        return tuple(ListedPoint(point, first_rollout=self.choices.rollouts) for point in self.priced)
+        return tuple(ListedPoint(point, first_rollout=self.first_fresh) for point in self.priced)
 
     @property
     def bound(self) -> float | None:

@@ -67,9 +67,9 @@ def starts_findings(starts: Starts) -> Iterator[str]:
     """The figures with their intervals, the comparison with other places, and the command to evaluate."""
     again = starts.confirmed
     if again is not None and again.coverage is not None and again.losses is not None:
-        worth = "" if again.value is None else f"{again.value.describe(100, ' %')} of the value and "
+        valued = "" if again.value is None else f"{again.value.describe(100, ' %')} of the value and "
         cells = "" if again.value is None else " of the cells"
-        covered = f"{worth}{again.coverage.describe(100, ' %')}{cells} covered"
+        covered = f"{valued}{again.coverage.describe(100, ' %')}{cells} covered"
         yield sourced(
             again.rollouts, without_level(f"{covered}, {losses_sentence(again.losses, len(starts.starts))} lost.")
         )

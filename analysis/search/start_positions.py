@@ -113,7 +113,7 @@ class Starts(Searched):
     confirmed: Place | None = None
     json_keys = """
         depot choices.metric shown.coverage value?=shown.value stay gain now=present confirmed=confirmed
-        confirmed.first_rollout=choices.rollouts candidates=listed_places command rolled
+        confirmed.first_rollout=first_fresh candidates=listed_places command rolled
     """
 
     @property
@@ -419,10 +419,10 @@ def teams_of(robots: int, sites: Sequence[NDArray[np.int64]], reached: Reached) 
 
 def _greedily(robots: int, first: int, reached: Reached) -> list[int]:
     """Sites: `first`, then in each step the site that adds most to the bound."""
-    chances, worth = reached.chances, 1.0 if reached.value is None else reached.value
+    chances, values = reached.chances, 1.0 if reached.value is None else reached.value
     team, missed = [first], 1.0 - chances[first]
     while len(team) < robots:
-        team.append(int(np.argmax(chances @ (missed * worth))))
+        team.append(int(np.argmax(chances @ (missed * values))))
         # Marginal gains shrink by the probability that the team already reaches the cell.
         missed = missed * (1.0 - chances[team[-1]])
     return team

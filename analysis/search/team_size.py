@@ -471,8 +471,8 @@ class _Search(Search):
             # An exact mean has a degenerate interval.
             low, high = coverage.ci95
             if self.world.value is not None:
-                worth = CellValues.of(self.world)
-                value = exactly(float(worth.value @ known.visited_by_cell) / worth.total)
+                cell_values = CellValues.of(self.world)
+                value = exactly(float(cell_values.value @ known.visited_by_cell) / cell_values.total)
         if self.goal.confidence is not None:
             low, high = found.chance_bounds(meaning, self.needed, self.alpha)
         robots = len(trial.plan.robots)

@@ -74,7 +74,7 @@ class Threat:
         """The map with this threat in addition, combined by the scenario's rule, else as independent threats.
 
         `sources` of the new map are the placed threats, each removable, and the map as it was before. Among latent
-        hazards a threat is a hazard that exists for sure, in cells without another.
+        hazards a threat is a hazard that certainly exists, in cells without another.
         """
         if isinstance(world.uncertainty, Hazard):
             return with_hazard(world, world.uncertainty, self.cells, 1.0, self.p)
@@ -238,7 +238,7 @@ class Clearing(ThreatResult):
     turns: tuple[Turn, ...]
     gain: Gain | None = None
     json_keys = """
-        remove threats=options pick=picked_names gain=gain.cells gain.first_rollout=choices.rollouts
+        remove threats=options pick=picked_names gain=gain.cells gain.first_rollout=first_fresh
         value_gain?=gain.value robots_gain=gain.robots turns
     """
 
@@ -364,9 +364,9 @@ class ThreatSearch(Search):
         """Mean gain of removing the threat: cells, robots, and value if the map has values."""
         # Both directions report the gain of the map without the threat.
         there, gone = (other, base) if self.placing else (base, other)
-        worth = gone.ahead(there, "value", self.total) if self.valued else None
+        value = gone.ahead(there, "value", self.total) if self.valued else None
         rollouts = min(base.rollouts, other.rollouts)
-        return Gain(gone.ahead(there, "visited"), there.ahead(gone, "lost"), rollouts, worth)
+        return Gain(gone.ahead(there, "visited"), there.ahead(gone, "lost"), rollouts, value)
 
     def _unknown(self, as_is: Trial, truth: World, threats: int) -> Gain:
         """Gain if the team keeps its plan."""
@@ -551,7 +551,7 @@ class Attack(ThreatResult):
         return self._listed(self.hidden)
 
     def _listed(self, placed: Placed) -> Placement:
-        return Placement(tuple(map(self.place, placed.threats)), placed, self.choices.rollouts)
+        return Placement(tuple(map(self.place, placed.threats)), placed, self.first_fresh)
 
     @property
     def listed_cells(self) -> tuple[CellCost, ...]:

@@ -17,9 +17,8 @@ from scipy.optimize import brentq
 from scipy.special import bdtr, bdtrik, betaincinv, ndtri, stdtrit
 
 from planner.arguments import MOST_ROLLOUTS, Numbers
-from planner.files import Json
 from planner.formatting import NOTHING, counted, inside, percent
-from planner.json_objects import as_json
+from planner.json_objects import WithKeys
 from planner.tally import Tally
 
 # Simultaneous confidence intervals for means and probabilities, for any number of rollouts.
@@ -168,7 +167,7 @@ FEW = 5
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimate(WithKeys):
     """A mean with its standard error and 95 % interval, all in the unit of the mean."""
 
     mean: float
@@ -261,11 +260,6 @@ class Estimate:
     def times(self, unit: float) -> Estimate:
         """The estimate multiplied by `unit`."""
         return Estimate(self.mean * unit, self.se * unit, (self.ci95[0] * unit, self.ci95[1] * unit))
-
-    def to_json(self) -> Json:
-        """Mean, standard error and interval as a JSON object."""
-        said: Json = as_json(self)
-        return said
 
     @property
     def known_interval(self) -> tuple[float, float] | None:

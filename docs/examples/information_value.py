@@ -13,7 +13,6 @@ from rich.table import Table
 
 from analysis.page.elements import Chart, Series
 from analysis.report.model import Report, Section
-from analysis.report.result import json_end
 from analysis.statistics.estimates import Estimate, over_maps
 from analysis.sweeps.cases import Case, Generated, canonical, check_maps
 from analysis.sweeps.engine import Finished, Swept
@@ -22,6 +21,7 @@ from analysis.utils.notes import ProgressCallback
 from analysis.utils.tables import csv_text, make_table
 from planner.files import Json
 from planner.formatting import counted
+from planner.json_objects import as_json
 from planner.policies import DEFAULT
 from planner.settings import Choices
 from planner.world.generate import Kind
@@ -314,7 +314,7 @@ def study_json(study: Study) -> Json:
         "rollouts": study.rollouts,
         "seed": study.seed,
         "seconds": study.finished.seconds,
-        **json_end(study),
+        **as_json(study),
     }
 
 

@@ -16,7 +16,6 @@ from rich.table import Table
 
 from analysis.page.elements import Chart, Series
 from analysis.report.model import Report, Section
-from analysis.report.result import json_end
 from analysis.statistics.estimates import Estimate, over_maps
 from analysis.sweeps.cases import Case, check_maps, generated_case
 from analysis.sweeps.engine import Finished, Swept
@@ -27,6 +26,7 @@ from analysis.utils.pool import answers, wanted_processes
 from analysis.utils.tables import csv_text, make_table
 from planner.files import Json
 from planner.formatting import counted, in_percent
+from planner.json_objects import as_json
 from planner.settings import Choices
 from planner.world.generate import Kind, ThreatPattern, random_world
 from planner.world.start_rule import place_starts
@@ -410,7 +410,7 @@ def study_json(study: Study) -> Json:
         "rollouts": study.rollouts,
         "seed": study.seed,
         "seconds": finished.seconds,
-        **json_end(study),
+        **as_json(study),
     }
 
 

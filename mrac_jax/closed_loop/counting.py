@@ -93,9 +93,9 @@ def _follow(rows, base, cell_at, flags, first, safe, visits, stops, passes):  # 
 @threaded
 def _count(  # type: ignore[no-untyped-def]
     rows, begins, order, which, base, cell_at, start, safe_start, passes_start, visits, stops, covered, unsurvived,
-    new, late, by_passes, weights, found, worth,
+    new, late, by_passes, weights, found, value_sums,
 ):  # fmt: skip
-    """Count rollouts, of which `which[n]` began at that snapshot; `passes` and `worth` where they have rows."""
+    """Count rollouts, of which `which[n]` began at that snapshot; `passes` and `value_sums` where they have rows."""
     size = start.shape[1]
     first, safe, passes = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.uint8)
     for number in range(len(which)):
@@ -116,8 +116,8 @@ def _count(  # type: ignore[no-untyped-def]
                     by_passes[cell, many] += 1
             for cell in range(size):
                 if first[cell] < NO_STEP:
-                    worth[number, 0] += weights[cell]
-                    worth[number, 1] += found[cell, passes[cell]]
+                    value_sums[number, 0] += weights[cell]
+                    value_sums[number, 1] += found[cell, passes[cell]]
 
 
 class Counting:
@@ -135,19 +135,19 @@ class Counting:
         none = np.zeros(0, np.int64)
         weights = loop.weights
         covered, found = (none, none[:, None]) if weights is None else (weights.covered, weights.found)
-        worth = np.zeros((len(which), 2 * self.weighs), np.int64)
+        value_sums = np.zeros((len(which), 2 * self.weighs), np.int64)
         unsurvived = np.zeros(len(loop.cells), np.int64)
         _count(
             rows, begins, order, which, book.entries.rows[:, BASE].copy(), book.cell_at.rows, self.begun.first,
             self.begun.safe, self.begun.passes, c.visits, c.stops, c.covered, unsurvived, c.new, c.late, c.passes,
-            covered, found, worth,
+            covered, found, value_sums,
         )  # fmt: skip
         visited, survived = known_cells(loop)
         np.subtract.at(unsurvived, np.searchsorted(loop.cells, visited), len(which))
         np.add.at(unsurvived, np.searchsorted(loop.cells, survived), len(which))
         c.unsurvived[:] += unsurvived
         c.visits[:] += np.bincount(which, minlength=len(self.begun.visits)) @ self.begun.visits
-        return worth
+        return value_sums
 
     def add_numbers(self, numbers: NDArray[np.int32]) -> None:
         """Count the results of rollouts, int32 `[n, NUMBERS]`."""

@@ -390,18 +390,18 @@ class JaxClosedLoop(Engine):
     def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
         """The tally and the single results of those rollouts: one pass gives both."""
         counting = Counting(self.loop, self._begun)
-        numbers, worth = np.zeros((count, ln.NUMBERS), np.int32), np.zeros((count, 2 * counting.weighs), np.int64)
+        numbers, value_sums = np.zeros((count, ln.NUMBERS), np.int32), np.zeros((count, 2 * counting.weighs), np.int64)
         room = BATCH * self.lanes * self._devices
         for first in range(0, count, room):
             some = slice(first, min(first + room, count))
             numbers[some], begun, logs, device = self._batch_of(np.arange(start + some.start, start + some.stop))
             for one, rows in enumerate(logs):
                 mine = np.flatnonzero(device == one) + first
-                worth[mine] = counting.add(self.host, rows, begun[mine - first])
+                value_sums[mine] = counting.add(self.host, rows, begun[mine - first])
         counting.add_numbers(numbers)
         tally = tally_from(self.loop, self.seed, start, count, [counting.counts])
         own = ln.NUMBERS if self.loop.comes_home else ln.NUMBERS - 1
-        return tally, results_from(start, numbers[:, :own], worth)
+        return tally, results_from(start, numbers[:, :own], value_sums)
 
     @fixed_flags()
     def _batch_of(self, ids: NDArray[np.int64]) -> tuple[NDArray, NDArray, list[NDArray[np.uint32]], NDArray]:

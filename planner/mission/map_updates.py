@@ -92,8 +92,8 @@ def seen_world(world: World, seen: Seen, given: World | None = None) -> World:
     threat = world.threat.copy()
     for cell, p in seen.items():
         threat.flat[cell] = np.nan if p is None else p
-    worth = (given or world).value
-    value = None if worth is None else np.where(np.isnan(threat), 0.0, worth)
+    values = (given or world).value
+    value = None if values is None else np.where(np.isnan(threat), 0.0, values)
     return replace(world, threat=threat, starts=None, value=value)
 
 

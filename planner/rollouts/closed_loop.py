@@ -37,7 +37,7 @@ SINGLE_FILE = 64
 """Rollouts that a thread takes at a time if it runs them one by one."""
 OF_SINGLES = ("visited", "survived", "time", "alive", "outcome", "bisected", "divided", "home", "delivered")
 """Columns of `Singles.numbers`, as fields of `RolloutResults`."""
-OF_WORTH = "worth_covered", "worth_found"
+OF_VALUES = "worth_covered", "worth_found"
 TIME, OUTCOME = map(OF_SINGLES.index, ("time", "outcome"))
 
 
@@ -158,18 +158,18 @@ def run_range(
     tally = tally_from(loop, seed, start, count, run_rollouts(loop, seed, start, count, threads, kept))
     if not singles:
         return tally, None
-    return tally, results_from(start, kept.numbers[:, : SINGLES - (not loop.delivers)], kept.worth)
+    return tally, results_from(start, kept.numbers[:, : SINGLES - (not loop.delivers)], kept.value_sums)
 
 
-def results_from(start: int, numbers: NDArray[np.int32], worth: NDArray[np.int64]) -> RolloutResults:
+def results_from(start: int, numbers: NDArray[np.int32], value_sums: NDArray[np.int64]) -> RolloutResults:
     """Results of the rollouts from id `start` on.
 
     Args:
         start: first id.
         numbers: int32 `[B, SINGLES]`, as in `planner.simulator.state.Singles`, or without its last columns.
-        worth: int64 `[B, 2]` or without rows, sums of values.
+        value_sums: int64 `[B, 2]` or without rows, sums of values.
     """
-    columns = dict(zip(OF_SINGLES, numbers.T, strict=False)) | dict(zip(OF_WORTH, worth.T, strict=False))
+    columns = dict(zip(OF_SINGLES, numbers.T, strict=False)) | dict(zip(OF_VALUES, value_sums.T, strict=False))
     return RolloutResults(start, **columns | {"outcome": columns["outcome"].astype(np.int8)})
 
 

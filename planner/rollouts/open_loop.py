@@ -89,8 +89,8 @@ class CompiledPlan:
         """Per robot uint64 `[D]`: it survives a dangerous entry iff its word is below. For a certain map."""
         failure_model, own = self.plan.failure_model, self.world.of_robots(self.plan.failure_model.types, self.robots)
         visits = map(self.world.visits, self.danger_cell, self.danger_step)
-        borne = [failure_model.fresh(np.cumsum(own[k].exposures[0][each]), k) for k, each in enumerate(visits)]
-        return [least_word(one).astype(np.uint64) for one in borne]
+        hazards = [failure_model.fresh(np.cumsum(own[k].exposures[0][each]), k) for k, each in enumerate(visits)]
+        return [least_word(one).astype(np.uint64) for one in hazards]
 
     def until(self, step: int) -> CompiledPlan:
         """The plan truncated at the end of `step`."""

@@ -142,21 +142,21 @@ def _add_bisected(words, table, threshold, low_bits, bisections, step, rows):  #
 
 
 @rare_kernel
-def joint_rows(key, own, first, size, draw, alive, borne, spent, rows):  # type: ignore[no-untyped-def]
+def joint_rows(key, own, first, size, draw, alive, hazard, spent, rows):  # type: ignore[no-untyped-def]
     """Rows of `size` rollouts from id `first` on, entry by entry of all robots (`joint_draws`).
 
     Args:
         key, own: two uint32 halves each, of thresholds and of uncertain cells.
         first: uint32, first id.
         draw: of `draw_arguments`.
-        alive: bool `[S]`; borne: int64 `[S]`; spent: bool `[cells]`: scratch; no cells: none becomes harmless.
+        alive: bool `[S]`; hazard: int64 `[S]`; spent: bool `[cells]`: scratch; no cells: none becomes harmless.
         rows: int32 `[G, L]`, the result.
     """
     members, first_row, stride, entry, exposure, doses, (robot, nodes, times), last = draw
     slots, places, own_counters, theres, columns, spots = entry
     for lane in range(size):
         rollout = np.uint32(first + np.uint32(lane))
-        alive[:], spent[:], borne[:] = True, False, 0
+        alive[:], spent[:], hazard[:] = True, False, 0
         for group in range(rows.shape[0]):
             rows[group, lane] = first_row[group]
             for member in range(members):
@@ -167,8 +167,8 @@ def joint_rows(key, own, first, size, draw, alive, borne, spent, rows):  # type:
             if not alive[slot] or (len(spent) > 0 and spent[spots[number]]):
                 continue
             word = np.int64(threefry(own[0], own[1], rollout, own_counters[number])[0] >> np.uint32(8))
-            borne[slot] += hazard_in_state(exposure, doses, theres, columns, number, word)
-            reached = exp1_hazard(borne[slot], nodes, times[slot])
+            hazard[slot] += hazard_in_state(exposure, doses, theres, columns, number, word)
+            reached = exp1_hazard(hazard[slot], nodes, times[slot])
             if reached >= tolerance(threefry(key[0], key[1], rollout, robot[slot])[0]):
                 alive[slot] = False
                 group, member = slot // members, slot % members
@@ -504,9 +504,9 @@ def _count_drawn_once(key, start, count, draw, words, rows, scoring, work, singl
 
 
 @program
-def _count_joint(key, own, start, count, draw, alive, borne, spent, rows, scoring, work, singles, sums):  # type: ignore[no-untyped-def]
+def _count_joint(key, own, start, count, draw, alive, hazard, spent, rows, scoring, work, singles, sums):  # type: ignore[no-untyped-def]
     tile = rows.shape[1]
     for done in range(0, count, tile):
         size = min(tile, count - done)
-        joint_rows(key, own, np.uint32(start + done), size, draw, alive, borne, spent, rows)
+        joint_rows(key, own, np.uint32(start + done), size, draw, alive, hazard, spent, rows)
         score_tile(rows, size, scoring, work, done, singles, sums)

@@ -84,10 +84,10 @@ def run_rollouts(
 def singles_of(loop: ClosedLoop, start: int, count: int) -> Singles:
     """Empty results of `count` single rollouts from id `start` on."""
     weighed = 0 if loop.weights is None else count
-    numbers, worth = np.zeros((count, SINGLES), dtype=np.int32), np.zeros((weighed, 2), dtype=np.int64)
+    numbers, value_sums = np.zeros((count, SINGLES), dtype=np.int32), np.zeros((weighed, 2), dtype=np.int64)
     if loop.weights is None:
-        return Singles(numbers, worth, NO_COUNTS, NO_COUNTS.reshape(0, MOST_PASSES + 1), start)
-    return Singles(numbers, worth, loop.weights.covered, loop.weights.found, start)
+        return Singles(numbers, value_sums, NO_COUNTS, NO_COUNTS.reshape(0, MOST_PASSES + 1), start)
+    return Singles(numbers, value_sums, loop.weights.covered, loop.weights.found, start)
 
 
 def on_threads(

@@ -547,5 +547,5 @@ class PythonLoop:
         """The mission state at the end of a step; None if the rollout has ended before."""
         for run in self.runs(seed, rollout):
             if run.step == step and run.outcome is None:
-                return state_of(run, self.problem, run.raw.robots["borne"].tolist())
+                return state_of(run, self.problem, run.raw.robots["cumulative_hazard"].tolist())
         return None

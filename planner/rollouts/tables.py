@@ -423,7 +423,7 @@ def write_mission_state(mission: MissionState, state: State, tables: Tables, cel
     for word, value in marks.items():
         state.marks[word] = value
     if len(tables.times):
-        state.robots["borne"] = mission.exposures
+        state.robots["cumulative_hazard"] = mission.exposures
     until = state.robots["until"]
     until[:] = tables.range - [robot.moves for robot in mission.robots]
     moving = np.array([robot.status in (*ON_ITS_WAY, "returning") for robot in mission.robots])

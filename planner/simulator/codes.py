@@ -7,7 +7,7 @@ from typing import Self
 
 NONE = -1
 """Sentinel for "no id" (-1), of any kind; kernels use this name, since one number may be of several kinds."""
-NO_CELL = NO_AREA = NO_ROBOT = NO_STEP = NO_ROLLOUT = NONE
+NO_CELL = NO_AREA = NO_ROBOT = NO_STEP = NONE
 ALWAYS, NEVER = 2**62, -(2**62)
 """Log odds of a hazard that certainly exists, and of one that certainly does not."""
 BLOCKED = 0

@@ -226,9 +226,9 @@ def lost_mass(t, s, robot, place, mass):
     """Mass of a tree's branch that a visit destroys, rounded; adds the visit to the robot's cumulative hazard."""
     if not t.wears:
         return np.int64(t.chance[place] * mass + 0.5)
-    before = fresh(t, robot, s.robots[robot].borne)
-    s.robots[robot].borne += t.exposure[place]
-    more = fresh(t, robot, s.robots[robot].borne) - before
+    before = fresh(t, robot, s.robots[robot].cumulative_hazard)
+    s.robots[robot].cumulative_hazard += t.exposure[place]
+    more = fresh(t, robot, s.robots[robot].cumulative_hazard) - before
     return np.int64(-math.expm1(-more * 2.0**-32) * mass + 0.5)
 
 
@@ -254,28 +254,28 @@ def first_lost(t, s, c, w, how, ids, robot, cell, place):
     # The state of an uncertain cell differs from rollout to rollout: no limit serves the whole group.
     if t.uncertain:
         return split_uncertain(t, ids, w, how, first, last, robot, cell)
-    s.robots[robot].borne += t.exposure[place]
-    borne = fresh(t, robot, s.robots[robot].borne)
+    s.robots[robot].cumulative_hazard += t.exposure[place]
+    cumulative_hazard = fresh(t, robot, s.robots[robot].cumulative_hazard)
     # Most visits end here, whatever the size of the group.
-    if borne < s.robots[robot].bears:
+    if cumulative_hazard < s.robots[robot].bears:
         return last
-    return split_by_threshold(s, w, how, ids, robot, borne)
+    return split_by_threshold(s, w, how, ids, robot, cumulative_hazard)
 
 
 @rare_kernel
-def split_by_threshold(s, w, how, ids, robot, borne):
+def split_by_threshold(s, w, how, ids, robot, cumulative_hazard):
     """`first_lost` by the failure thresholds of the group."""
     first, last = s.marks.first, s.marks.last
     if last - first == 1:
         # A single rollout has one threshold, so its word is drawn once for each robot.
         s.robots[robot].bears = tolerance(threefry(how.key0, how.key1, ids[first], np.uint32(robot))[0])
-        return first if borne >= s.robots[robot].bears else last
+        return first if cumulative_hazard >= s.robots[robot].bears else last
     if last - first < GROUP:
-        lost_from, s.robots[robot].bears = split_few(ids, w.words, how, first, last, robot, borne)
+        lost_from, s.robots[robot].bears = split_few(ids, w.words, how, first, last, robot, cumulative_hazard)
         return lost_from
     # Survivors have a threshold above the hazard; their exact minimum is not worth computing for a large group.
-    s.robots[robot].bears = borne + 1
-    return part(ids, w.words, how, first, last, np.uint32(robot), np.uint32(least_word(borne)))
+    s.robots[robot].bears = cumulative_hazard + 1
+    return part(ids, w.words, how, first, last, np.uint32(robot), np.uint32(least_word(cumulative_hazard)))
 
 
 @kernel
@@ -287,16 +287,16 @@ def part(ids, words, how, first, last, counter, limit):
 
 
 @rare_kernel
-def split_few(ids, words, how, first, last, robot, borne):
+def split_few(ids, words, how, first, last, robot, cumulative_hazard):
     """The same by the robot's thresholds; and the lowest threshold of the rollouts in which it survives."""
     gone, least = 0, np.int64(MOST)
     for place in range(first, last):
         one = ids[place]
-        mine = threshold_or_bound(how, one, robot, borne)
+        mine = threshold_or_bound(how, one, robot, cumulative_hazard)
         # Stored to both places without a branch: losses cannot be predicted, and only one of the two advances.
         ids[place - gone], words[gone] = one, one
-        gone += np.int64(mine <= borne)
-        least = min(least, mine if mine > borne else np.int64(MOST))
+        gone += np.int64(mine <= cumulative_hazard)
+        least = min(least, mine if mine > cumulative_hazard else np.int64(MOST))
     return first + _join(ids[first:last], words, gone), least
 
 

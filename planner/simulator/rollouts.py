@@ -111,10 +111,10 @@ def count_passes(s, c, ids, singles):
         if s.home[cell] & VISITED and (len(s.known) == 0 or s.known[cell] & OUT == 0):
             covered += singles.covered[cell]
             found += singles.found[cell, passes]
-    if len(singles.worth) > 0:
+    if len(singles.value_sums) > 0:
         for place in range(first, last):
-            worth = singles.worth[ids[place] - singles.start]
-            worth[0], worth[1] = covered, found
+            value_sums = singles.value_sums[ids[place] - singles.start]
+            value_sums[0], value_sums[1] = covered, found
 
 
 @kernel

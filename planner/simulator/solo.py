@@ -45,10 +45,10 @@ def survives_visit(t, s, how, robot, cell):
     if t.uncertain or how.first_only or s.home[cell] & (VISITED | SURVIVED) == VISITED:
         return False
     # The cumulative hazard decides: below the lowest threshold of the group no word is drawn.
-    borne = s.robots[robot].borne + t.exposure[own(t, robot, cell)]
-    if fresh(t, robot, borne) >= s.robots[robot].bears:
+    cumulative_hazard = s.robots[robot].cumulative_hazard + t.exposure[own(t, robot, cell)]
+    if fresh(t, robot, cumulative_hazard) >= s.robots[robot].bears:
         return False
-    s.robots[robot].borne = borne
+    s.robots[robot].cumulative_hazard = cumulative_hazard
     return True
 
 

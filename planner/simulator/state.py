@@ -334,7 +334,7 @@ ROBOT = np.dtype(
         ("sure", WHOLE),  # it need not compare its area with others again until `arrivals` exceeds this
         ("path", WHOLE),  # index of its cached coverage path, 0: none
         ("until", LONG),  # turn (`own_turn`) of the last move of a moving robot; moves left of a waiting one
-        ("borne", LONG),  # its cumulative hazard
+        ("cumulative_hazard", LONG),
         ("bears", LONG),  # no rollout of the group has a lower failure threshold
         ("ready", LONG),  # step at which its recharge ends; FAR before it is at a base; 0: no recharge
     ],
@@ -549,14 +549,14 @@ class Singles(NamedTuple):
     """Results of single rollouts; arrays without rows: not kept.
 
     Attributes:
-        numbers: int32 `[B, SINGLES]`. worth: int64 `[B, 2]`, sums over cells of the two tables below.
+        numbers: int32 `[B, SINGLES]`. value_sums: int64 `[B, 2]`, sums over cells of the two tables below.
         covered: int64 `[A]`, value of a cell that is visited.
         found: int64 `[A, MOST_PASSES + 1]`, value of a cell by its survived visits.
         start: the id of the rollout in row 0.
     """
 
     numbers: NDArray
-    worth: NDArray
+    value_sums: NDArray
     covered: NDArray
     found: NDArray
     start: int

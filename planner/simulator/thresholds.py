@@ -114,11 +114,11 @@ def exp1_hazard(exposure: Any, nodes: NDArray[np.int64], times: Any) -> Any:
     """
     some = np.int64(1) * (exposure > 0)
     after = np.minimum(exposure, (2**62 // np.maximum(times, SCALE)) << 16) + some
-    borne = (after >> 16) * times + (((after & (SCALE - 1)) * times - some) >> 16)
+    cumulative_hazard = (after >> 16) * times + (((after & (SCALE - 1)) * times - some) >> 16)
     if len(nodes) == 0:
-        return borne
-    borne = np.minimum(borne, nodes[len(nodes) - 1] - 1)
-    node = np.searchsorted(nodes, borne, side="right") - 1
+        return cumulative_hazard
+    cumulative_hazard = np.minimum(cumulative_hazard, nodes[len(nodes) - 1] - 1)
+    node = np.searchsorted(nodes, cumulative_hazard, side="right") - 1
     octave = np.maximum((node >> 6) - 1, 0)
-    part = (((borne - nodes[node] + 1) << 16) - 1) // (nodes[node + 1] - nodes[node])
+    part = (((cumulative_hazard - nodes[node] + 1) << 16) - 1) // (nodes[node + 1] - nodes[node])
     return ((node - (octave << 6)) << octave) + ((((part + 1) << octave) - 1) >> 16)

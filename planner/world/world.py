@@ -424,8 +424,8 @@ class World:
             value, detect: `[H, W]` or one number; None: 1 each.
         """
         free = self.free
-        worth = checked_layer(value, VALUE, free, self.source)
-        return replace(self, value=worth, detect=checked_layer(detect, DETECT, free, self.source))
+        values = checked_layer(value, VALUE, free, self.source)
+        return replace(self, value=values, detect=checked_layer(detect, DETECT, free, self.source))
 
     def with_pace(
         self, step_seconds: float | None = None, speed: float | None = None, turn: float | None = None

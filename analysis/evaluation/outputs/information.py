@@ -281,7 +281,7 @@ class Experience(Output):
         return self.known_hazards.ahead(self.learning, "visited", self._unit)
 
     @cached_property
-    def worth(self) -> Estimate:
+    def value_of_learning(self) -> Estimate:
         """Gain in coverage of learning over no learning, a fraction of the cells."""
         return self.learning.ahead(self.no_learning, "visited", self._unit)
 
@@ -299,7 +299,7 @@ class Experience(Output):
         return {
             **{name.replace(" ", "_"): team_json(found) for name, found in self._teams.items()},
             "price_of_not_knowing": self.price,
-            "value_of_learning": self.worth,
+            "value_of_learning": self.value_of_learning,
             "maps": self.known_hazards.rollouts,
             "rollouts": self.learning.rollouts,
             "posterior": {"rollouts": self.ends, "entropy": {"before": before, "after": after}},

@@ -20,7 +20,6 @@ from rich.table import Table
 from analysis.estimators.trial import TreeTruth, mean_value, stated, units_of
 from analysis.evaluation.figures import Elements, Output, Run
 from analysis.page.elements import CellLayer
-from analysis.report.result import pick
 from analysis.sampling import make_engine_for
 from analysis.statistics.estimates import TAIL, Estimate, at_least, exactly, in_unit, robots_left, tail_mean, times_to
 from analysis.statistics.variance_reduction import LEAST, CommonThresholds, tally_mean
@@ -46,7 +45,7 @@ class Value(Output):
     """Value covered, found and left, of an evaluation. Axis `N` = H * W cells.
 
     Attributes:
-        world: the map. worth: of its cells.
+        world: the map. cell_values: of its cells.
         covered, found: expected value of the cells visited, and of what is found.
         covered_by_cell, found_by_cell: float64 `[N]`, chance that the cell is visited, that what is in it is found.
         remainder: of `found`, not counted by visit. most: expected value that no strategy exceeds, or None.
@@ -54,7 +53,7 @@ class Value(Output):
     """
 
     world: World
-    worth: CellValues
+    cell_values: CellValues
     covered: Estimate
     found: Estimate
     covered_by_cell: NDArray[np.float64]
@@ -68,18 +67,18 @@ class Value(Output):
     @property
     def left(self) -> Estimate:
         """Expected value that is not found: the total of all free cells minus `found`."""
-        total, (low, high) = self.worth.total, self.found.ci95
+        total, (low, high) = self.cell_values.total, self.found.ci95
         return Estimate(total - self.found.mean, self.found.se, (total - high, total - low))
 
     @property
     def left_by_cell(self) -> NDArray[np.float64]:
         """float64 `[N]`: expected value left in each cell."""
-        return self.worth.value * (1.0 - self.found_by_cell)
+        return self.cell_values.value * (1.0 - self.found_by_cell)
 
     @property
     def scale(self) -> float:
         """Factor that turns values into probabilities: 1 if they add up to at most 1, else one over their sum."""
-        return 1.0 if self.worth.total <= 1 + 1e-6 else 1.0 / self.worth.total
+        return 1.0 if self.cell_values.total <= 1 + 1e-6 else 1.0 / self.cell_values.total
 
     @property
     def detection(self) -> float | None:
@@ -117,8 +116,8 @@ class Value(Output):
         route = self.route_left
         per_robot = {"value": self.covered.mean, "square_metres": self.square_metres}
         return {
-            "total": self.worth.total,
-            **pick(self, "covered found left remainder"),
+            "total": self.cell_values.total,
+            **{name: getattr(self, name) for name in ("covered", "found", "left", "remainder")},
             "any_strategy": self.most,
             "search": {
                 "containment": self.covered.mean * self.scale,
@@ -126,7 +125,7 @@ class Value(Output):
                 "success": self.found.mean * self.scale,
             },
             "clearance": {
-                "cleared": self.found.mean / self.worth.total,
+                "cleared": self.found.mean / self.cell_values.total,
                 "remaining": self.left.mean,
                 "route": route and {"remaining": route[0], "risk": [route[1], min(route[0], 1.0)]},
             },
@@ -143,7 +142,7 @@ class Value(Output):
 
     @classmethod
     def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
-        worth, tally, most = CellValues.of(run.world), run.last.tally, None
+        cell_values, tally, most = CellValues.of(run.world), run.last.tally, None
         bounded = not run.choices.first_only and run.world.uncertainty is None and run.plan.state is None
         bounded = bounded and run.plan.failure_model.is_plain
         if bounded and tally.accessible <= MOST_CELLS:
@@ -154,37 +153,37 @@ class Value(Output):
                 problem = "the value found in the open loop of an uncertain map is not known exactly"
                 raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")
             visited, found = run.exact.visited_by_cell, open_loop_found(run.plan, run.world)
-            covered, known = (exactly(float(worth.value @ chance)) for chance in (visited, found))
+            covered, known = (exactly(float(cell_values.value @ chance)) for chance in (visited, found))
             lost = exactly(run.exact.expected_losses)
             alive = [exactly(float(chance)) for chance in at_least(run.exact.alive_chance)]
-            yield cls(run.world, worth, covered, known, visited, found, 0.0, most, tally, lost, alive)
+            yield cls(run.world, cell_values, covered, known, visited, found, 0.0, most, tally, lost, alive)
             return
-        if tree is not None and tree.masses is not None and worth.is_plain:
+        if tree is not None and tree.masses is not None and cell_values.is_plain:
             n, chances = tree.masses.rollouts, (tree.masses.covered_visited, tree.masses.covered_survived)
             visited, found = (of / n for of in chances)
-            found = worth.detect * found
-            covered, known = (exactly(float(worth.value @ chance)) for chance in (visited, found))
-            yield cls(run.world, worth, covered, known, visited, found, 0.0, most, tally, *_left(tree.tree))
+            found = cell_values.detect * found
+            covered, known = (exactly(float(cell_values.value @ chance)) for chance in (visited, found))
+            yield cls(run.world, cell_values, covered, known, visited, found, 0.0, most, tally, *_left(tree.tree))
             return
         run.doing("value covered and found")
-        units = Units.of(worth)
+        units = Units.of(cell_values)
         counted, columns = units.roll_out(run)
-        found, rest = found_chances(counted, worth)
+        found, rest = found_chances(counted, cell_values)
         covered, known = (units.estimate(column, run.certain, tally.robots, run.choices.seed) for column in columns)
-        (low, high), total = known.ci95, worth.total
+        (low, high), total = known.ci95, cell_values.total
         # `rest` is an upper limit of the omitted visits: the lower end of the interval excludes it.
         least = low + rest if run.certain else low
         known = Estimate(min(known.mean + rest, total), known.se, (min(least, total), min(high + rest, total)))
         if run.certain:
-            covered = exactly(float(worth.value @ (counted.covered_visited / counted.rollouts)))
+            covered = exactly(float(cell_values.value @ (counted.covered_visited / counted.rollouts)))
         visited, lost = counted.covered_visited / counted.rollouts, tally_mean(tally, "lost", certain=run.certain)
         alive = robots_left(tally, run.certain)
         if tree is not None:
             lost, alive = _left(tree.tree)
             if tree.masses is not None:
                 visited = tree.masses.covered_visited / tree.masses.rollouts
-                covered = exactly(float(worth.value @ visited))
-        yield cls(run.world, worth, covered, known, visited, found, rest, most, tally, lost, alive)
+                covered = exactly(float(cell_values.value @ visited))
+        yield cls(run.world, cell_values, covered, known, visited, found, rest, most, tally, lost, alive)
 
     def elements(self) -> Elements:
         beyond = (
@@ -198,7 +197,9 @@ class Value(Output):
 
     def layer(self) -> CellLayer:
         """The expected value left in each cell."""
-        about = f"Value times the probability that it is not found. {self.left.mean:.4g} of {self.worth.total:.4g}."
+        about = (
+            f"Value times the probability that it is not found. {self.left.mean:.4g} of {self.cell_values.total:.4g}."
+        )
         left = self.left_by_cell.reshape(self.world.shape)
         return CellLayer("Value left", about, left, "losses", root=True, blocks="sum", short="Left")
 
@@ -221,7 +222,7 @@ def value_table(value: Value) -> Table:
 
 def _value_rows(value: Value) -> Iterator[tuple[str, str, str]]:
     figures = {
-        "value of all free cells": exactly(value.worth.total),
+        "value of all free cells": exactly(value.cell_values.total),
         "value covered (visited)": value.covered,
         "value found": value.found,
         "value left": value.left,
@@ -255,7 +256,7 @@ def _other_rows(value: Value) -> Iterator[tuple[str, str, str]]:
 def _sentence(value: Value) -> str:
     """The answer in one sentence."""
     return (
-        f"Of {amount(value.worth.total)} in all, {amount(value.covered.mean)} are covered and "
+        f"Of {amount(value.cell_values.total)} in all, {amount(value.covered.mean)} are covered and "
         f"{amount(value.found.mean)} found on average; {amount(value.left.mean)} are left."
     )
 
@@ -272,19 +273,21 @@ class Units:
     """Values as integers (`analysis.estimators.trial`).
 
     Attributes:
-        worth: value of the cells. covered: int64 `[N]`. found: int64 `[N, MOST_PASSES + 1]`, by survived visits.
+        cell_values: value of the cells. covered: int64 `[N]`. found: int64 `[N, MOST_PASSES + 1]`, by survived visits.
     """
 
-    worth: CellValues
+    cell_values: CellValues
     covered: NDArray[np.int64]
     found: NDArray[np.int64]
 
     @classmethod
-    def of(cls, worth: CellValues) -> Self:
+    def of(cls, cell_values: CellValues) -> Self:
         """The integer contribution of each cell to the sums of a rollout."""
-        share = units_of(worth)
-        missed = (1.0 - worth.detect[:, None]) ** np.arange(MOST_PASSES + 1)
-        return cls(worth, np.rint(share).astype(np.int64), np.rint(share[:, None] * (1.0 - missed)).astype(np.int64))
+        share = units_of(cell_values)
+        missed = (1.0 - cell_values.detect[:, None]) ** np.arange(MOST_PASSES + 1)
+        return cls(
+            cell_values, np.rint(share).astype(np.int64), np.rint(share[:, None] * (1.0 - missed)).astype(np.int64)
+        )
 
     def roll_out(self, run: Run) -> tuple[Tally, tuple[NDArray[np.int64], NDArray[np.int64]]]:
         """Rerun the evaluation's ids: a tally with survived visits, and units covered and found, int64 `[B]` each."""
@@ -303,19 +306,19 @@ class Units:
         count, controls = len(column), None
         if count >= LEAST:
             controls = CommonThresholds.of(robots, classes_by_threshold(seed, 0, count, robots), column, column)
-        return mean_value(column, self.worth.total, len(self.covered), certain, controls)
+        return mean_value(column, self.cell_values.total, len(self.covered), certain, controls)
 
 
-def found_chances(tally: Tally, worth: CellValues) -> tuple[NDArray[np.float64], float]:
+def found_chances(tally: Tally, cell_values: CellValues) -> tuple[NDArray[np.float64], float]:
     """P(found in c), float64 `[N]`, from counts of survived visits; and the largest error of the expected value."""
     at_least = tally.passes.reshape(-1, MOST_PASSES) / tally.rollouts
-    counts, missed = tally.passes.reshape(-1, MOST_PASSES), 1.0 - worth.detect
+    counts, missed = tally.passes.reshape(-1, MOST_PASSES), 1.0 - cell_values.detect
     further = np.maximum(tally.visits - tally.stops - counts.sum(axis=1), 0) / np.maximum(counts[:, -1], 1)
     # E[1 - missed**J] for integer J with mean `further` is largest if J is one of its two neighbours.
     whole = np.floor(further)
-    left = 1.0 - missed**whole * (1.0 - (further - whole) * worth.detect)
+    left = 1.0 - missed**whole * (1.0 - (further - whole) * cell_values.detect)
     rest = missed**MOST_PASSES * at_least[:, -1] * left
-    return worth.detect * _weighted(at_least, missed) + rest, float(worth.value @ rest)
+    return cell_values.detect * _weighted(at_least, missed) + rest, float(cell_values.value @ rest)
 
 
 def _weighted(at_least: NDArray[np.float64], missed: NDArray[np.float64]) -> NDArray[np.float64]:
