@@ -326,6 +326,7 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("size WORLD --target 0.9 --most 1025", "1 to 1024"),
         ("size WORLD --target 0.9 --metric seen", "visited or survived or delivered"),
         ("front WORLD --metric delivered", "without a base"),
+        ("evaluate WORLD --wrecks block --engine jax", "--wrecks block"),
         ("front WORLD --metric delivered --engine jax", "--engine numba"),
         ("size WORLD --target 0.9 --plan plan.json", "--plan"),
         ("size WORLD --target 0.9 --robots 3", "--robots"),

@@ -17,12 +17,14 @@ from closed_loop_worlds import survey_worlds
 from conftest import ANSWERS
 from helpers import paths_of, play_both_ways
 from numpy.typing import NDArray
+from test_return_home import drawn as coming_home
 from test_return_home import ways
 from test_threats_over_time import POLICIES, changing
 
 from planner.errors import InputError, WorldError
 from planner.failure_model import own_key
 from planner.make_plan import make_plan
+from planner.mission.mission import Mission
 from planner.mrac.problem import prepare
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop, final_odds, run_range, trace_rollouts
@@ -766,7 +768,27 @@ def as_told(trace: Trace, world: World, *_: Any) -> Believed:
     return believed
 
 
+def wrecks(number: int) -> tuple[World, NDArray[np.int64], Settings]:
+    """A drawn world in which lost robots block their cells."""
+    policy = POLICIES[number % len(POLICIES)] | {"range": None}
+    return *coming_home(number), Settings(**policy | HOMES[number // 3 % 5], wrecks="block")
+
+
+def as_blocked(trace: Trace, world: World, *_: Any) -> Believed:
+    """The map without the cells of lost robots, once nobody else is there; nobody enters them then."""
+    p = world.threat.ravel().astype(np.float64).copy()
+
+    def believed(step: int) -> NDArray[np.float64]:
+        lost = trace.doing[step] == Doing.DEAD
+        assert not np.isnan(p[trace.cells[step, ~lost]]).any()
+        p[np.setdiff1d(trace.cells[step, lost], trace.cells[step, ~lost])] = np.nan
+        return p
+
+    return believed
+
+
 DRAWN = {"seen": (unseen, as_seen), "hazards": (hazards, as_happened), "phases": (phases, as_told)}
+DRAWN["wrecks"] = wrecks, as_blocked
 
 
 def agree(kind: str, number: int) -> NDArray[np.int64]:
@@ -779,7 +801,7 @@ def agree(kind: str, number: int) -> NDArray[np.int64]:
     tally, singles = run_range(loop, number, 0, 64, threads=2, singles=True)
     np.testing.assert_array_equal(tally.home, np.bincount(singles.home, minlength=len(starts) + 1))
     limits = settings.range, settings.deadline
-    if settings.return_to == "home" and limits == (None, None) and kind != "hazards":
+    if settings.return_to == "home" and limits == (None, None) and kind not in ("hazards", "wrecks"):
         np.testing.assert_array_equal(singles.home, singles.alive)  # where it came from it can always go back
     events = np.concatenate([trace.events[:, 2] for trace in traces])
     found = [int((events == event).sum()) for event in (EventKind.SURPRISED, EventKind.HOME)]
@@ -794,7 +816,7 @@ def agree(kind: str, number: int) -> NDArray[np.int64]:
 @pytest.mark.parametrize(
     ("kind", "numbers", "least"),
     [
-        ("seen", range(24), 40), ("hazards", range(12), 6), ("phases", range(12), 6),
+        ("seen", range(24), 40), ("hazards", range(12), 6), ("phases", range(12), 6), ("wrecks", range(12), 6),
         pytest.param("seen", range(24, 1024), 1000, marks=pytest.mark.slow),
         pytest.param("hazards", range(24, 524), 200, marks=pytest.mark.slow),
         pytest.param("phases", range(24, 524), 200, marks=pytest.mark.slow),
@@ -802,6 +824,35 @@ def agree(kind: str, number: int) -> NDArray[np.int64]:
 )  # fmt: skip
 def test_robots_come_home_by_what_is_believed(kind: str, numbers: range, least: int) -> None:
     assert (sum(agree(kind, number) for number in numbers) > least).all()
+
+
+@pytest.mark.parametrize(("wrecks", "visited", "alive"), [("pass", 4.75, 1.25), ("block", 4.5, 1.5)])
+def test_a_lost_robot_blocks_a_corridor_by_hand(wrecks: Any, visited: float, alive: float) -> None:
+    """The robot next to the threat enters it first: if it is lost there, the other goes after it, or has no way."""
+    world = World.create([[0, 0, 0, 0.5, 0]])
+    plan = make_plan(world, [[0, 0], [0, 2]], Settings(wrecks=wrecks))
+    tree = grow_tree(compile_closed_loop(plan, world), 0.0, 10**6)
+    assert tree is not None and (*tree.covered("visited"), tree.mean_alive) == pytest.approx((visited, visited, alive))
+    assert compile_closed_loop(plan, world).learns == (wrecks == "block")
+    if wrecks == "block":
+        with pytest.raises(InputError, match="wrecks"):
+            make_engine(plan, world, Rolling("open"), "numba")
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_lost_robots_block_in_both_simulators_and_in_missions(number: int) -> None:
+    world, starts, settings = wrecks(number)
+    plan = make_plan(world, starts, replace(settings, return_to=None, recharge=None, deadline=None, range=None))
+    for run in play_both_ways(plan, world, number, 4):
+        believed, mission = as_blocked(run.trace, world), Mission(world, plan, patience=None)
+        for step, cells in enumerate(run.trace.cells.tolist()):
+            map_now = believed(step)
+            for robot, order in mission.orders().items():
+                assert cells[robot] == order.cell[0] * world.shape[1] + order.cell[1]
+                mission.report(robot, order.cell, stopped=run.trace.doing[step, robot] == Doing.DEAD)
+            mission.advance()
+        assert mission.outcome == plan.ending(run.outcome)
+        assert not run.alive.any() or mission.seen.keys() == set(np.flatnonzero(np.isnan(map_now) & world.free.ravel()))
 
 
 def test_a_phase_that_begins_turns_who_is_on_its_way_home_by_hand() -> None:

@@ -74,7 +74,7 @@ def test_robots_of_several_types_come_home_each_by_its_own_way(part: int, seeds:
         check_homes(part, seed, 2)
 
 
-@pytest.mark.parametrize("what", ["types", "speeds", "radio"])
+@pytest.mark.parametrize("what", ["types", "speeds", "radio", "wrecks"])
 def test_everything_that_can_happen_on_rows(what: str) -> None:
     """The tree of the closed loop against an enumeration that shares no code with it."""
     for seed in range(12):
@@ -91,11 +91,13 @@ def test_everything_that_can_happen_on_rows(what: str) -> None:
         elif what == "speeds":
             paces = (1, *rng.integers(2, 4, robots - 1).tolist())
             more = {"steps_per_move": paces}
+        elif what == "wrecks":
+            more = {"wrecks": "block"}
         else:
             radio = float(rng.integers(1, 4))
             more = {"radio": radio}
         plan = make_plan(world, [[0, start] for start in starts], Settings(density=1e6, **more))
-        assert_as_enumerated(plan, world, everything(own, starts, paces and list(paces), radio=radio))
+        assert_as_enumerated(plan, world, everything(own, starts, paces and list(paces), radio, what == "wrecks"))
 
 
 @pytest.mark.parametrize("policy", ["per_cell", "watchful"])

@@ -402,7 +402,7 @@ class HazardUpdates:
 # outcome. Before step 0 has ended there is no state, and only the rest is kept.
 
 DEFAULTS: dict[str, Any] = {"world": {}, "begun": True, "range": None, "ended": None, "over": None}
-DEFAULTS |= {name: [] for name in ("closed", "seen", "sees", "odds", "aside", "reports", "heard", "waits")}
+DEFAULTS |= {name: [] for name in ("closed", "wrecks", "seen", "sees", "odds", "aside", "reports", "heard", "waits")}
 """Optional keys of a file in addition to a state, or without one."""
 FLAGS = ("stopped", "found")
 OF_REPORTS: dict[str, Any] = dict.fromkeys(("cell", "moves_left", "step", "seen")) | dict.fromkeys(FLAGS, False)

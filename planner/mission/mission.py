@@ -61,6 +61,8 @@ class Mission:
         world: the map, with everything seen, estimated and closed. given: the initial map. closed: closed cells,
             indices.
         seen: p by cell, None: an obstacle; estimates included.
+        blocks: lost robots become obstacles. The plan itself does not know it: they are in `seen`.
+        wrecks: cells of lost robots in which there still is a live one.
 
     Raises:
         PlanError: the plan is for another map.
@@ -72,6 +74,8 @@ class Mission:
         whole(1).check("patience", patience, optional=True)
         if world.movers is not None:
             world.require_certain_map("a mission that is driven")
+        self.blocks, plan = _without_wrecks(plan)
+        self.wrecks = set[int]()
         self.given, self._lessons = world, HazardUpdates(world, plan)
         self._file: Path | None = None
         if self._lessons:
@@ -282,6 +286,10 @@ class Mission:
         # Announced phases and estimates first: a reported value replaces them.
         held, reported = fleet.places.values(), self._reports.seen
         told = self._lessons.at_end(fleet.step, self.world, held) | reported
+        if self.blocks:
+            self.wrecks |= {fleet.cell(number) for number, one in self._reports.now.items() if one.stopped}
+            told |= dict.fromkeys(self.wrecks.difference(held))
+            self.wrecks.intersection_update(held)
         # A cell that an operator has closed stays closed, whatever is observed there.
         seen = {cell: p for cell, p in told.items() if cell not in self.closed}
         self._reports.clear()
@@ -448,9 +456,10 @@ class Mission:
         Raises:
             StateError: the file is invalid.
         """
+        blocks, plan = _without_wrecks(plan)
         known, rest, keys = read_rest(path, world, plan)
         mission = cls(known, rest, **how)
-        mission.given, mission._file = world, Path(path).resolve()
+        mission.blocks, mission.given, mission._file = blocks, world, Path(path).resolve()
         heard, waits = (keys[name].items("a list of steps", least=0) for name in ("heard", "waits"))
         for steps in (heard, waits):
             if steps and len(steps) != mission.robots:
@@ -460,6 +469,7 @@ class Mission:
         robot = whole(0, mission.robots - 1, what="the number of a robot")
         mission._set_aside([one.number(robot) for one in keys["aside"].items("a list of robots", least=0)])
         mission.closed = [one.value for one in keys["closed"].items("a list of cells", least=0)]
+        mission.wrecks = {one.number(whole(0)) for one in keys["wrecks"].items("a list of cells", least=0)}
         mission.seen, mission._reports.seen = read_seen(keys["seen"]), read_seen(keys["sees"])
         mission._lessons.read(keys["odds"])
         for report in keys["reports"].items("a list of reports", least=0):
@@ -487,7 +497,12 @@ class Mission:
         self._check_kept(self._fleet)
         state = self.state.to_json() if self.step > 0 else None
         more: Json = {"seen": _pairs(self.seen), "sees": _pairs(self.sees)}
-        more |= {"closed": self.closed, "range": self.settings.range, "aside": self._aside}
+        more |= {
+            "closed": self.closed,
+            "wrecks": sorted(self.wrecks),
+            "range": self.settings.range,
+            "aside": self._aside,
+        }
         more |= {"reports": self.as_json(), "heard": self._reports.heard, "waits": self._waits}
         more |= {"odds": self._lessons.to_json()}
         more |= {} if self.outcome is None else {"ended": self.known()}
@@ -515,6 +530,13 @@ class Mission:
             if self._fleet.s.robots[number].doing != Doing.DEAD:
                 self._fleet.set_aside(number)
             self._fleet.aside.add(number)
+
+
+def _without_wrecks(plan: Plan) -> tuple[bool, Plan]:
+    """Whether lost robots of a plan become obstacles, and the plan without that setting."""
+    if plan.settings is None or not plan.settings.blocks:
+        return False, plan
+    return True, replace(plan, settings=replace(plan.settings, wrecks="pass"))
 
 
 def _pairs(seen: Seen) -> list[list[float | None]]:

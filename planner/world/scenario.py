@@ -171,7 +171,17 @@ def _seconds_in(keys: dict[str, Key], world: World) -> float | None:
 DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 """Keys of a scenario file that are always there."""
 SETTINGS = ("levels", "policy", "risk_cap", "robot_value", "plan_for", "weibull_shape", "deadline", "in_area")
-OF_ROBOTS = ("range", "hazard_multiplier", "return_to", "recharge", "deliver_every", "types", "steps_per_move", "radio")
+OF_ROBOTS = (
+    "range",
+    "hazard_multiplier",
+    "return_to",
+    "recharge",
+    "deliver_every",
+    "wrecks",
+    "types",
+    "steps_per_move",
+    "radio",
+)
 """Planner settings as keys of a scenario, and those under its key `robots`."""
 OPTIONAL = (
     "cell_size", "datum", "keepout", "robots", *UNCERTAIN, "plan_on", "value", "detect", *KNOWLEDGE,
