@@ -80,7 +80,7 @@ class PlannerOptions(TypedDict, total=False):
     weibull_shape: float | None
     hazard_multiplier: float | Sequence[float] | None
     return_to: ReturnTo
-    wrecks: Literal["pass", "block"] | None
+    wrecks: Literal["ignore", "block"] | None
     deliver_every: int | None
     recharge: int | None
     types: str | Sequence[str] | None

@@ -168,7 +168,7 @@ class Settings:
         hazard_multiplier: factor of the exposure, one number for all or one a robot. No decision depends on these two.
         return_to: bases that robots return to (SPEC section 19): "home", their own starts; "nearest", the nearest
             start; or cells, a tuple of (row, col); None = robots stay at their last cell.
-        wrecks: whether lost robots "pass" or "block" the others in their cells (SPEC section 15).
+        wrecks: "block": lost robots are obstacles for the others (SPEC section 15); "ignore": they are not.
         deliver_every: cells carried with which a robot returns to a base and goes on; None = only at the end.
         recharge: steps at a base that restore the range of a robot; None = never restored.
         types: robot types (SPEC section 22), one for all or one a robot, named in the world's matrix; None = the map's
@@ -248,8 +248,8 @@ class Settings:
         words=("home", "nearest"), unset="nowhere", places=True, later=True, rare=False,
     )  # fmt: skip
     wrecks: str = _setting(
-        "pass", "wrecks", "Lost robots block their cells for the others: block, or pass (default).",
-        words=("pass", "block"), later=True,
+        "ignore", "wrecks", "Lost robots block their cells for the others: block, or ignore (default).",
+        words=("ignore", "block"), later=True,
     )  # fmt: skip
     deliver_every: int | None = _setting(
         None, "deliver every", "Return to the base, and go on, with this many cells to deliver (default: never).",

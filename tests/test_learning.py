@@ -5,9 +5,11 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from math import hypot, inf
+from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -826,7 +828,7 @@ def test_robots_come_home_by_what_is_believed(kind: str, numbers: range, least: 
     assert (sum(agree(kind, number) for number in numbers) > least).all()
 
 
-@pytest.mark.parametrize(("wrecks", "visited", "alive"), [("pass", 4.75, 1.25), ("block", 4.5, 1.5)])
+@pytest.mark.parametrize(("wrecks", "visited", "alive"), [("ignore", 4.75, 1.25), ("block", 4.5, 1.5)])
 def test_a_lost_robot_blocks_a_corridor_by_hand(wrecks: Any, visited: float, alive: float) -> None:
     """The robot next to the threat enters it first: if it is lost there, the other goes after it, or has no way."""
     world = World.create([[0, 0, 0, 0.5, 0]])
@@ -839,20 +841,29 @@ def test_a_lost_robot_blocks_a_corridor_by_hand(wrecks: Any, visited: float, ali
             make_engine(plan, world, Rolling("open"), "numba")
 
 
-@pytest.mark.parametrize("number", range(4))
-def test_lost_robots_block_in_both_simulators_and_in_missions(number: int) -> None:
-    world, starts, settings = wrecks(number)
-    plan = make_plan(world, starts, replace(settings, return_to=None, recharge=None, deadline=None, range=None))
-    for run in play_both_ways(plan, world, number, 4):
-        believed, mission = as_blocked(run.trace, world), Mission(world, plan, patience=None)
-        for step, cells in enumerate(run.trace.cells.tolist()):
-            map_now = believed(step)
-            for robot, order in mission.orders().items():
-                assert cells[robot] == order.cell[0] * world.shape[1] + order.cell[1]
-                mission.report(robot, order.cell, stopped=run.trace.doing[step, robot] == Doing.DEAD)
-            mission.advance()
-        assert mission.outcome == plan.ending(run.outcome)
-        assert not run.alive.any() or mission.seen.keys() == set(np.flatnonzero(np.isnan(map_now) & world.free.ravel()))
+@pytest.mark.parametrize("numbers", [range(8), pytest.param(range(8, 400), marks=pytest.mark.slow)], ids=str)
+def test_lost_robots_block_in_both_simulators_and_in_missions(numbers: range, tmp_path: Path) -> None:
+    file, ends = tmp_path / "mission.json", Counter[Outcome]()
+    for number in numbers:
+        world, starts, settings = wrecks(number)
+        plan = make_plan(world, starts, replace(settings, recharge=None, deliver_every=None))
+        for run in play_both_ways(plan, world, number, 4):
+            believed, mission = as_blocked(run.trace, world), Mission(world, plan, patience=None)
+            for step, cells in enumerate(run.trace.cells.tolist()):
+                map_now = believed(step)
+                for robot, order in mission.orders().items():
+                    assert cells[robot] == order.cell[0] * world.shape[1] + order.cell[1]
+                    mission.report(robot, order.cell, stopped=run.trace.doing[step, robot] == Doing.DEAD)
+                mission.save(file, force=True)
+                mission = Mission.resume(file, world, plan, patience=None) if (step + number) % 3 else mission
+                assert mission.outcome is None
+                mission.advance()
+            assert mission.outcome == plan.ending(run.outcome)
+            assert mission.covered == pytest.approx(run.visited.sum() / run.loop.accessible)
+            wrecked = set(np.flatnonzero(np.isnan(map_now) & world.free.ravel()))
+            assert not run.alive.any() or mission.seen.keys() == wrecked
+            ends[run.outcome] += len(wrecked) > 0
+    assert {Outcome.COMPLETE, Outcome.NO_PROGRESS} <= {*ends}
 
 
 def test_a_phase_that_begins_turns_who_is_on_its_way_home_by_hand() -> None:

@@ -15,7 +15,7 @@ from analysis.page.elements import CURVE_COLOURS as COLOURS
 from analysis.page.elements import Chart, Series
 from analysis.report.model import Report, Section
 from analysis.statistics.estimates import Estimate
-from analysis.sweeps.cases import RULES, Label, format_label
+from analysis.sweeps.cases import Label, format_label
 from analysis.sweeps.results import DIFFERENCES, EXACT, FIGURES, FRACTIONS, Results, Row
 from analysis.sweeps.sweep import Sweep
 from analysis.utils.tables import csv_text, make_table
@@ -23,7 +23,6 @@ from planner.arguments import argument, check_word
 from planner.files import Json, atomic_write
 from planner.formatting import counted, duration, in_percent
 from planner.simulator.codes import Outcome
-from planner.world.start_rule import BEFORE, RELEASES
 
 NAMES = {
     "visited": "cells visited, of the accessible ones",
@@ -111,11 +110,6 @@ def notes_of(sweep: Sweep) -> list[str]:
         cut = sum(row.outcomes[outcome.word] for row in sweep.rows)
         if cut:
             notes.append(f"{counted(cut, 'rollout')} ended by {outcome.word}: the mission {outcome.clause}")
-    if earlier := sweep.finished.earlier:
-        notes.append(
-            f"the store holds {counted(earlier, 'run')} of these by rules that release 0.4 changed: they are kept, "
-            f"and not used here (in `results` they have the label {RULES} {RELEASES[BEFORE]})"
-        )
     return notes
 
 

@@ -145,7 +145,6 @@ def run_sweep(
             sums.reused + (finished.reused if maps.start or not sums.jobs else 0),
             time.perf_counter() - clock,
             finished.partial,
-            max(sums.earlier, finished.earlier) if asked.maps is None else sums.earlier + finished.earlier,
         )
         narrow = precision is None or bool(table.next and table.widest() < precision)
         if sums.partial or narrow:

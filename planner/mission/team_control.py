@@ -39,13 +39,22 @@ class Fleet(SingleRun):
     _moves_now = False
     """Whether the robot that decided last has a move, which counts as made."""
 
-    def __init__(self, problem: Problem, plan: Plan, gain: float = 1.0, last_update: int = 0) -> None:
-        """Args: `last_update`: begin of the last announced phase that changes the map, 0: none."""
+    def __init__(
+        self, problem: Problem, plan: Plan, gain: float = 1.0, last_update: int = 0, cut_off: bool = False
+    ) -> None:
+        """Prepare the team.
+
+        Args:
+            problem, plan, gain: as in the class.
+            last_update: begin of the last announced phase that changes the map, 0: none.
+            cut_off: whether wrecks cut unvisited cells off, so that the mission is never complete.
+        """
         super().__init__(compile_closed_loop(plan, problem.world, problem=problem, interpreted=True))
         # A visit may destroy a robot in any cell: it counts as survived only once that is reported.
         phases: dict[str, Any] = {"phases": np.zeros(1, dtype=np.int64), "phased": True, "last_update": last_update}
         self.t = self.t._replace(bound=np.zeros_like(self.t.bound), notes=None, **phases)
         self.problem, self.gain, self.aside = problem, gain, set[int]()
+        self.s.marks.unfinished += cut_off
         # A resumed state may be complete already, before any step.
         if self.step != NOT_BEGUN:
             self._review()
@@ -410,7 +419,7 @@ class Fleet(SingleRun):
 
     def come_home(self) -> None:
         """Start the return to base if nothing is left to do between two steps."""
-        if self.problem.home is not None and self.unvisited == 0:
+        if self.problem.home is not None and self.s.marks.unfinished == 0:
             self._call_home(Outcome.COMPLETE)
 
     def _call_home(self, why: Outcome) -> None:

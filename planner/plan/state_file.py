@@ -63,7 +63,9 @@ def load_state(path: str | Path, world: World) -> MissionState:
     return parse_state(read_json(Path(path), MAX_PLAN_BYTES, StateError, "a state file (JSON)"), world, str(path))
 
 
-def parse_state(data: object, world: World, source: str, before: World | None = None) -> MissionState:
+def parse_state(
+    data: object, world: World, source: str, before: World | None = None, *, waits: bool = False
+) -> MissionState:
     """The state in a file's JSON, checked as by `load_state`.
 
     Args:
@@ -71,6 +73,7 @@ def parse_state(data: object, world: World, source: str, before: World | None = 
         world: the map.
         source: names the file in errors.
         before: the world at the start of the mission, if cells were closed since; one may be a robot's first cell.
+        waits: whether all cells in reach may be visited.
 
     Raises:
         StateError: it is invalid.
@@ -108,7 +111,7 @@ def parse_state(data: object, world: World, source: str, before: World | None = 
     got = keys["delivered"]
     delivered = None if got.value is None else read_cells(got, before)
     found = MissionState(world.shape, world.sha256, step, visited, survived, robots, areas, quiet, over, delivered)
-    check_state(found, world, source)
+    check_state(found, world, source, waits=waits)
     return found
 
 
@@ -141,17 +144,17 @@ def _area(key: Key, world: World) -> AreaState:
     return AreaState(level, robot, state, cells)
 
 
-def check_state(state: MissionState, world: World, source: str) -> None:
-    """Check that a state can be that of a mission on `world` that goes on.
+def check_state(state: MissionState, world: World, source: str, *, waits: bool = False) -> None:
+    """Check that a state can be that of a mission on `world` that goes on; `waits`: as in `parse_state`.
 
     Raises:
         StateError: it cannot.
     """
-    for problem, expected, *fix in chain(_of_cover(state, world), _of_areas(state, world, source)):
+    for problem, expected, *fix in chain(_of_cover(state, world, waits), _of_areas(state, world, source)):
         raise StateError(problem, source=source, expected=expected, fix="".join(fix))
 
 
-def _of_cover(state: MissionState, world: World) -> Iterator[Fault]:
+def _of_cover(state: MissionState, world: World, waits: bool) -> Iterator[Fault]:
     """Faults of coverage: unreachable visited cells, survived cells not visited, nothing left to do, no robot."""
     accessible = world.accessible(state.starts).ravel()
     for name, cells in (("visited", state.visited), ("survived", state.survived)):
@@ -161,7 +164,8 @@ def _of_cover(state: MissionState, world: World) -> Iterator[Fault]:
         yield f"survived: cell {at(extra, world)} is not visited", "some of the visited cells"
     if not any(robot.alive for robot in state.robots):
         yield "every robot is dead", "a robot that goes on"
-    if len(state.visited) == int(accessible.sum()) and not any(robot.status == RETURNING for robot in state.robots):
+    waits = waits or any(robot.status == RETURNING for robot in state.robots)
+    if len(state.visited) == int(accessible.sum()) and not waits:
         yield "every cell in reach is visited", "something left to do"
 
 

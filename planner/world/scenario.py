@@ -172,16 +172,9 @@ DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 """Keys of a scenario file that are always there."""
 SETTINGS = ("levels", "policy", "risk_cap", "robot_value", "plan_for", "weibull_shape", "deadline", "in_area")
 OF_ROBOTS = (
-    "range",
-    "hazard_multiplier",
-    "return_to",
-    "recharge",
-    "deliver_every",
-    "wrecks",
-    "types",
-    "steps_per_move",
+    "range", "hazard_multiplier", "return_to", "recharge", "deliver_every", "wrecks", "types", "steps_per_move",
     "radio",
-)
+)  # fmt: skip
 """Planner settings as keys of a scenario, and those under its key `robots`."""
 OPTIONAL = (
     "cell_size", "datum", "keepout", "robots", *UNCERTAIN, "plan_on", "value", "detect", *KNOWLEDGE,
@@ -528,12 +521,7 @@ def team_keys(team: dict[str, Any], settings: Settings, pace: Pace) -> dict[str,
 
 
 def write_scenario(
-    out: Path,
-    source: Path,
-    starts: NDArray[np.int64],
-    settings: Settings,
-    pace: Pace,
-    cell_size: float | None = None,
+    out: Path, source: Path, starts: NDArray[np.int64], settings: Settings, pace: Pace, cell_size: float | None = None
 ) -> None:
     """Write a scenario with other starts, atomically; comments are lost.
 
