@@ -327,6 +327,7 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("size WORLD --target 0.9 --metric seen", "visited or survived or delivered"),
         ("front WORLD --metric delivered", "without a base"),
         ("evaluate WORLD --wrecks block --engine jax", "--wrecks block"),
+        ("evaluate WORLD --robots 2 --wrecks block --loop open", "--wrecks block"),
         ("front WORLD --metric delivered --engine jax", "--engine numba"),
         ("size WORLD --target 0.9 --plan plan.json", "--plan"),
         ("size WORLD --target 0.9 --robots 3", "--robots"),

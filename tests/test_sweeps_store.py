@@ -284,8 +284,7 @@ def test_a_store_of_release_0_3_goes_on_where_its_rules_are_todays(tmp_path: Pat
         # where `plan_on` is given, or nothing changes that robots are told of, the rules are those of then
         moving = "moving_threats: [{walk: 0.5, h: threats}], plan_on: own"
         for more in ("phases: [{from: 3, threats: []}], plan_on: first", moving):
-            made = swept(tmp_path, SWEEP % (f", {more}", "mrac"), store)
-            assert "rules" not in made.rows[0].labels
+            assert "rules" not in swept(tmp_path, SWEEP % (f", {more}", "mrac"), store).rows[0].labels
         assert all("rules" not in what for what in store.labels())
 
 
@@ -301,16 +300,6 @@ def test_it_is_never_mixed_with_runs_by_rules_that_changed(tmp_path: Path, name:
             assert {row.labels["rules"] for row in found.rows} == {None, "0.4", "before 0.4"}
             assert [row.rollouts for row in found.rows if row.labels["rules"]] == [64, 64]
         assert collect(store, {"rules": ("0.4",)}).runs == 1
-
-
-def test_runs_of_a_store_that_was_merged_are_told_apart_too(tmp_path: Path) -> None:
-    """No sweep has met them: that others of their setting follow today's rules says that they do not."""
-    with Store.open(tmp_path / "new.store") as store:
-        swept(tmp_path, RENEWED["home"].replace("maps: 1", "maps: 1\nfirst_seed: 5"), store)
-        with Store.open(EARLIER_STORE, write=False) as earlier:
-            assert store.merge(earlier)[0] == 5
-        found = collect(store, {"return_to": ("home",)})
-        assert [(row.labels["rules"], row.maps) for row in found.rows] == [("0.4", 1), ("before 0.4", 1)]
 
 
 @pytest.mark.parametrize("mode", ["step", "fast"])

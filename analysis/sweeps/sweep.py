@@ -112,12 +112,7 @@ class _Table:
 
 
 def run_sweep(
-    spec: Spec,
-    store: Store,
-    *,
-    precision: float | None = None,
-    watch: Watch | None = None,
-    **where: Any,
+    spec: Spec, store: Store, *, precision: float | None = None, watch: Watch | None = None, **where: Any
 ) -> Sweep:
     """Run a sweep into a store; stored rollouts are not simulated again.
 

@@ -231,18 +231,13 @@ def closed_by(given: ArrayLike, reports: Reports) -> tuple[NDArray[np.int64], Wo
         if cell in cells:
             problem = f"robot {number} is at {at(cell, world)}, which is to be closed"
             raise StateError(problem, expected="cells without a robot", fix="close it when the robot has left it")
-    without = closed_world(world, cells)
+    without = seen_world(world, dict.fromkeys(cells.tolist()))
     part = without.components.ravel()
     for number, cell in reported:
         if part[cell] != part[fleet.cell(number)]:
             problem = f"closing these cells cuts robot {number} off from {at(cell, world)}"
             raise StateError(problem, expected="cells to close once the step in which it went there is over")
     return cells, without
-
-
-def closed_world(world: World, cells: NDArray[np.int64]) -> World:
-    """The world with these cells, int64, as obstacles."""
-    return seen_world(world, dict.fromkeys(cells.tolist()))
 
 
 def closed_state(state: MissionState, world: World, levels: int) -> MissionState:
@@ -512,8 +507,8 @@ def _as_known(world: World, keys: dict[str, Key]) -> tuple[World, bool]:
     seen = read_seen(keys["seen"])
     for one in seen:
         cell.check("seen", one, StateError, str(keys["seen"].source))
-    known = seen_world(world, seen) if seen else world
-    return (closed_world(known, np.array(closed, dtype=np.int64)) if closed else known), bool(seen or closed)
+    told = seen | dict.fromkeys(closed)
+    return (seen_world(world, told) if told else world), bool(told)
 
 
 def read_seen(key: Key) -> Seen:

@@ -267,6 +267,8 @@ class Mission:
             StateError: the report cannot be true; the mission is unchanged.
         """
         number, late = self._number(robot), len(self._reports.passed)
+        if found and cell is None and self.blocks:
+            raise StateError(f"robot {number} is found without a cell", expected="its cell: lost robots are obstacles")
         before, there = self._reports.seen, {one: report.cell for one, report in self._reports.now.items()}
         if seen is not None:
             # Stored before the report is checked: a robot cannot be in a cell that it reports as an obstacle.

@@ -155,14 +155,11 @@ class Fleet(SingleRun):
             return None
         return int(self.loop.cells[cell])
 
-    def enter(self, number: int) -> None:
-        """The robot has entered the cell that was decided."""
-        me = self.s.robots[number]
-        self._enter(number, me.next if self.s.marks.step > 0 else me.cell)
-
-    def _enter(self, number: int, cell: int) -> None:
-        s = self.s
-        s.marks.progress = 1
+    def enter(self, number: int, cell: int | None = None) -> None:
+        """The robot has entered the cell that was decided, or the accessible cell of this number."""
+        s, me = self.s, self.s.robots[number]
+        s.marks.progress, decided = 1, me.next if s.marks.step > 0 else me.cell
+        cell = decided if cell is None else cell
         if self.p is not None:
             # Before the cell is marked as visited: afterwards it is news no more.
             s.marks.changes += interpreted("replanning").is_news(s, number, cell)
@@ -209,8 +206,7 @@ class Fleet(SingleRun):
         used = sum(abs(a - b) for a, b in zip(here, there, strict=True)) - self._moves_now
         self._set_moves(number, max(0, self.moves_left(number) - used))
         # Kernels number the accessible cells only, in the order of their indices.
-        at = int(np.searchsorted(self.loop.cells, cell))
-        self._enter(number, at)
+        self.enter(number, int(np.searchsorted(self.loop.cells, cell)))
         self._set_out(number, before)
 
     def go_on(self, number: int) -> None:

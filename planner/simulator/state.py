@@ -540,11 +540,6 @@ def first_room(tables: Tables) -> int:
     return min(room, MOST_NARROW) if 2 * given <= MOST_NARROW else room
 
 
-def fits_narrow(tables: Tables, room: int) -> bool:
-    """Whether 16 bits hold the state with room for so many areas."""
-    return room <= MOST_NARROW and len(tables.near) < MOST_CELLS
-
-
 def first_state(tables: Tables, room: int, passes: bool = False) -> State:
     """The state before any robot has entered its start.
 
@@ -554,8 +549,8 @@ def first_state(tables: Tables, room: int, passes: bool = False) -> State:
         passes: whether survived visits are counted.
     """
     size, team, learned = len(tables.near), len(tables.starts), len(tables.belief)
-    # Half the bytes: copying the state is a large share of the cost of a split.
-    kind: DTypeLike = np.uint16 if fits_narrow(tables, room) else np.uint32
+    # Half the bytes if 16 bits hold the areas: copying the state is a large share of the cost of a split.
+    kind: DTypeLike = np.uint16 if room <= MOST_NARROW and size < MOST_CELLS else np.uint32
     robots, areas, cells = (-(-count // WORD) for count in (team, room, size))
     learning, returning = len(tables.truths) > 0, len(tables.home_cost) > 0
     free, near = np.append(tables.belief >= 0, False), tables.near[:learned]

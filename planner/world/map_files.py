@@ -174,12 +174,8 @@ def _decode(data: bytes, path: Path) -> Grid:
         grid >= OCCUPIED_PERCENT, OCCUPIED, np.where((grid >= 0) & (grid <= FREE_PERCENT), FREE, UNKNOWN)
     ).astype(np.int16)
     between = int(((grid > FREE_PERCENT) & (grid < OCCUPIED_PERCENT)).sum())
-    notes = (
-        (f"unknown, since its value is between {FREE_PERCENT} and {OCCUPIED_PERCENT}: {counted(between, 'pixel')}",)
-        if between
-        else ()
-    )
-    return Grid(state, Frame((height, width), size, (x, y, yaw)), str(path), notes=notes)
+    note = f"unknown, since its value is between {FREE_PERCENT} and {OCCUPIED_PERCENT}: {counted(between, 'pixel')}"
+    return Grid(state, Frame((height, width), size, (x, y, yaw)), str(path), notes=(note,) * (between > 0))
 
 
 # Instances of other planners as worlds: MAPS (YAML), LS-MCPP (`.mcpp`) and DORA-Explorer (`.json`).

@@ -514,7 +514,7 @@ class World:
         self._require_single_uncertainty("latent_hazard", over=Hazard)
         if learn and kind == "independent":
             problem, expected = (
-                "hazards drawn independently for every visit cannot be estimated",
+                "hazards that are drawn for every visit cannot be estimated",
                 "persistent or consumed ones",
             )
             raise WorldError(problem, source=self.source, expected=expected, fix="leave `learn` out")
@@ -557,12 +557,10 @@ class World:
         levels = find_levels(self.threat, self.free, MOST_LEVELS).of_cell.reshape(self.shape)
         uncertain, cut = spread_of(self.threat, levels, kind, amount, by, self.source)
         PLANNED_QUANTILE.check("plan_on", plan_on, WorldError, self.source, optional=True)
-        notes = (
-            (f"the spread on p is cut off below 1 in {cut} cells: their mean is lower than the map's",) if cut else ()
-        )
+        note = f"the spread on p is cut off below 1 in {cut} cells: their mean is lower than the map's"
         # The mean of the spread is p up to rounding: the map's own values keep its levels exact.
         found = self._planning_on(self.threat if plan_on is None else uncertain.plan_on(plan_on), uncertain)
-        return replace(found, notes=(*self.notes, *notes))
+        return replace(found, notes=(*self.notes, *[note] * (cut > 0)))
 
     def with_true_map(self, true_map: World | ArrayLike, sensor_range: SensorRange = 0) -> World:
         """The world as the robots' prior map, together with the true map, which destroys robots.
@@ -708,13 +706,11 @@ class World:
         free, dangerous = self.free, self.threat > 0
         worst = f", the worst {chance(float(self.threat[dangerous].max()))}" if dangerous.any() else ""
         team = "" if self.team.robots is None else f"{self.team.robots}, placed by the rule {self.team.start!r}"
+        value = "" if self.value is None else f"{self.value.sum():g} in all, at most {self.value.max():g} a cell"
         rows = [
             ("cells", f"{self.shape[0]} x {self.shape[1]} of {self.cell_size:g} m, {int(free.sum()):,} of them free"),
             ("threats", f"{int(dangerous.sum()):,} dangerous cells{worst}"),
-            (
-                "value",
-                "" if self.value is None else f"{self.value.sum():g} in all, at most {self.value.max():g} a cell",
-            ),
+            ("value", value),
             ("detect", "" if self.detect is None else f"{self.detect[free].mean():.3g} a visit, on average"),
             ("place", "" if self.georeference is None else f"in {self.georeference.crs[:60]}"),
             ("step", f"{self.pace.seconds:g} s" if self.pace.seconds else ""),
