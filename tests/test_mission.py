@@ -673,7 +673,7 @@ def drawn_lessons(number: int, kind: str) -> tuple[World, Any, World | None, Any
         begins = np.sort(luck.choice(np.arange(1, 20), 2, replace=False)).tolist()
         return World.create(maps[0]).with_phases(list(zip(begins, maps[1:], strict=True))), starts, None, None
     if kind == "wrecks":
-        return World.create(maps[0]), starts, None, None
+        return World.create(maps[0] / 2), 2 * starts, None, None
     return World.create(walls).with_latent_hazard(kind, np.nan_to_num(maps[0]), 1.0, learn=True), starts, None, None
 
 
