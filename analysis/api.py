@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from analysis.checking.check import MapCheck, Survey
     from analysis.comparison import Comparison, Side
+    from analysis.debrief import Debrief
     from analysis.evaluation.evaluate import Evaluation
     from analysis.experiments.reproduction import Reproduction
     from analysis.mission_protocol import DrivenMission
@@ -500,25 +501,32 @@ def export(
     plan: PlanSource,
     out: str | Path,
     *,
-    to: Literal["qgc", "nav2", "geojson", "kml", "gpx", "csv", "geotiff"] | None = None,
+    to: Literal["qgc", "nav2", "geojson", "kml", "gpx", "csv", "geotiff", "wpml", "cot", "nav2_route"] | None = None,
     altitude: float | None = None,
     speed: float | None = None,
+    terrain: str | Path | None = None,
+    battery: float | None = None,
     force: bool = False,
 ) -> list[Path]:
-    """The plan for ground stations, nav2 and GIS; returns the files.
+    """The plan for ground stations, DJI drones, TAK, nav2 and GIS; returns the files.
 
     Args:
         plan: as of `evaluate`. out: a file or a folder.
         to: Format (default: by the suffix of `out`).
-        altitude: qgc: metres above take-off, 0 for ground robots (default: 20).
+        altitude: qgc, wpml: metres above take-off, 0 for ground robots (default: 20).
         speed: metres a second (default: as the world says, or 3).
+        terrain: Raster of heights (.tif, .asc): altitudes are above this ground (qgc, wpml, csv).
+        battery: wpml: minutes of flight with one battery; longer paths become several files.
         force: replace existing files; without it an existing file is an InputError, and nothing is written.
     """
-    from analysis.exporting import choose_format, make_mission
-    from analysis.exporting import export as write
+    from analysis.exporting.formats import choose_format
+    from analysis.exporting.formats import export as write
+    from analysis.exporting.mission import make_mission
 
     form = choose_format(Path(out), to)
-    return write(make_mission(*plan_of(world, plan), altitude, speed), Path(out), form, force=force)
+    ground = None if terrain is None else Path(terrain)
+    mission = make_mission(*plan_of(world, plan), altitude, speed, ground, battery)
+    return write(mission, Path(out), form, force=force)
 
 
 # Mission execution.
@@ -555,6 +563,32 @@ def drive(
         found = state if isinstance(state, MissionState) else read_state(state, world)[0]
         made = plan_from_state(world, found, made.require(world))
     return DrivenMission(world, made, patience=patience, gain=gain)
+
+
+def debrief(
+    world: World,
+    tracks: str | Path,
+    plan: Plan | str | Path | None = None,
+    *,
+    lost: Sequence[int | str] | int | str = (),
+) -> Debrief:
+    """Tracks of robots against the map and the plan: coverage, gaps, the loss rate met, and the plan of the rest.
+
+    Args:
+        tracks: CSV (robot, a time or step, and row, col, or x, y, or lon, lat), GPX, GeoJSON lines with `coordTimes`,
+            MCAP poses, or a recording of one rollout.
+        plan: the plan that was to be flown, a Plan or its file.
+        lost: robots that were lost, in addition to those that the tracks say are lost.
+    """
+    from analysis.debrief import make_debrief
+
+    check_world(world)
+    made = None
+    if plan is not None:
+        world, made = plan_of(world, plan)
+    settings = settings_of(world) if made is None or made.settings is None else made.settings
+    names = {str(name) for name in ([lost] if isinstance(lost, int | str) else lost)}
+    return make_debrief(world, Path(tracks), made, settings, names)
 
 
 # Many maps: sweeps, the results in a store, random worlds.

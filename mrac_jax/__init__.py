@@ -32,9 +32,10 @@ if TYPE_CHECKING:
 
 __version__ = next((found.version for found in distributions(name="mrac-jax")), "0+unknown")  # not installed
 __all__ = [
-    "InputError", "Plan", "Settings", "World", "check", "closed_loop_gradient", "compare", "drive", "env", "evaluate",
-    "export", "front", "functional", "generate", "inspect", "judge", "load", "plan", "plots", "read_outcomes",
-    "read_plan", "read_rollouts", "record", "results", "size", "starts", "studio", "suite", "sweep", "threats",
+    "InputError", "Plan", "Settings", "World", "check", "closed_loop_gradient", "compare", "debrief", "drive", "env",
+    "evaluate", "export", "front", "functional", "generate", "inspect", "judge", "load", "plan", "plots",
+    "read_outcomes", "read_plan", "read_rollouts", "record", "results", "size", "starts", "studio", "suite", "sweep",
+    "threats",
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",

@@ -633,8 +633,8 @@ def test_help_lists_commands_in_five_groups(capsys: pytest.CaptureFixture[str]) 
     listed = re.findall(r"^(?:╭─|│) (\w+) ", capsys.readouterr().out, re.MULTILINE)
     assert listed == [
         "Answer", "evaluate", "compare", "front", "size", "studio", "Place", "starts", "threats", "Drive", "plan",
-        "export", "drive", "Record", "record", "inspect", "Research", "sweep", "results", "check", "generate",
-        "Commands",
+        "export", "drive", "debrief", "Record", "record", "inspect", "Research", "sweep", "results", "check",
+        "generate", "Commands",
     ]  # fmt: skip
 
 

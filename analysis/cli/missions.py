@@ -14,6 +14,7 @@ from analysis.cli.console import (
     DONE,
     INTERRUPTED,
     check_files,
+    check_folder,
     deliver,
     load_or_make_plan,
     may_replace,
@@ -34,8 +35,8 @@ if TYPE_CHECKING:
     from analysis.recording.record import Request
     from planner.formatting import Pace
 
-DRIVE, RECORD = "Drive", "Record"
-ALTITUDE = option(OUTPUT, "qgc: metres above take-off, 0 for ground robots (default: 20).", "number")
+DRIVE, RECORD, TRACKS = "Drive", "Record", "Tracks"
+ALTITUDE = option(OUTPUT, "qgc, wpml: metres above take-off, 0 for ground robots (default: 20).", "number")
 
 
 @command(
@@ -52,7 +53,8 @@ ALTITUDE = option(OUTPUT, "qgc: metres above take-off, 0 for ground robots (defa
 )  # fmt: skip
 def plan(source: INPUT, /, given: Given) -> int:
     """The plan of a team: print it, and write it as a file or as waypoints."""
-    from analysis.exporting import choose_format, export, make_mission
+    from analysis.exporting.formats import choose_format, export
+    from analysis.exporting.mission import make_mission
     from analysis.inputs import read_files
 
     out, waypoints, state = given.out, given.waypoints, given.state
@@ -80,25 +82,28 @@ def plan(source: INPUT, /, given: Given) -> int:
 
 
 @command(
-    DRIVE, api.export, THE_TEAM, PLANNING, "deadline plan state", "Output: to altitude",
+    DRIVE, api.export, THE_TEAM, PLANNING, "deadline plan state", "Output: to altitude terrain battery",
     policy=ANY_POLICY,
     plan="Export this plan file instead of planning.",
     out=of("out", help="File or folder to write.", default=...),
 )  # fmt: skip
 def export(source: INPUT, /, given: Given) -> int:
-    """A plan as a file for ground stations, nav2 and GIS.
+    """A plan as a file for ground stations, DJI drones, TAK, nav2 and GIS.
 
-    qgc and nav2 write one file per robot: FILE-0.plan, FILE-1.plan, or robot-0.plan in a folder. All but nav2, csv and
-    geotiff need a georeferenced map. Robots of qgc drive at --speed, or a cell per --step-seconds (default: 3 m/s).
+    qgc, nav2 and wpml write one file per robot: FILE-0.plan, FILE-1.plan, or robot-0.plan in a folder. All but nav2,
+    nav2_route, csv and geotiff need a georeferenced map. Robots move at --speed, or a cell per --step-seconds (default:
+    3 m/s).
     """
-    from analysis.exporting import choose_format, make_mission
-    from analysis.exporting import export as export_mission
+    from analysis.exporting.formats import choose_format
+    from analysis.exporting.formats import export as export_mission
+    from analysis.exporting.mission import make_mission
     from analysis.inputs import read_files
 
     form = choose_format(given.out, given.to)
     world, made = given.planned(source)
-    mission = make_mission(world, made, given.altitude, given.speed)
-    written = export_mission(mission, given.out, form, spare=read_files(source, given.plan, given.state))
+    mission = make_mission(world, made, given.altitude, given.speed, given.terrain, given.battery)
+    spare = read_files(source, given.plan, given.state, given.terrain)
+    written = export_mission(mission, given.out, form, spare=spare)
     say([*mission.unknown(form.figures), *(f"wrote {file}" for file in written)])
     return DONE
 
@@ -162,6 +167,27 @@ def _tell(lines: Iterable[dict[str, Any]], pace: Pace) -> None:
 
     for line in lines:
         print(json.dumps(with_minutes(line, pace), allow_nan=False, separators=(",", ":")), flush=True)  # noqa: T201
+
+
+@command(
+    DRIVE, api.debrief, "tracks plan lost cell_size step_seconds speed", "out json",
+    tracks=option(TRACKS, "Tracks: .csv .gpx .geojson .mcap, with times.", "path", default=...),
+    plan=of("plan", group=TRACKS, help="The plan file that was to be flown."),
+    lost=option(TRACKS, "Robots that were lost: 2,5 (default: those that the tracks say).", "names"),
+    out="Write the page, state.json, the plan of the rest, flown.geojson and JSON to this folder.",
+)  # fmt: skip
+def debrief(source: INPUT, /, given: Given) -> int:
+    """Tracks against the map and the plan: coverage, gaps, the loss rate met, and the plan of the rest.
+
+    Places are joined by straight lines, but not across a time of more than five usual intervals. With --speed or
+    --step-seconds, places within half a step are averaged, so that noise below half a cell adds few visits. Each
+    robot's own clock counts.
+    """
+    check_folder(given.out)
+    world = replace(given.asked(source), robots=None).load()
+    say(world.notes)
+    answer = given.call(api.debrief, world)
+    return deliver(answer, out=given.out, as_json=given.json, source=source, also_read=(given.tracks, given.plan))
 
 
 # Recordings.

@@ -1,0 +1,493 @@
+"""Debrief of a mission: coverage of tracks, gaps, the loss rate against the map's, and the rest of the mission."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+from scipy import ndimage
+from scipy.stats import gamma
+
+from analysis.inputs import plan_from_state
+from analysis.page.elements import CellLayer
+from analysis.report.model import CellMaps, KeyFigure, Report, Section
+from analysis.report.result import Result, as_json, json_end, map_text
+from analysis.theory.exact import open_loop_exact
+from analysis.tracks import Track, Walk, read_tracks, walk
+from analysis.utils.tables import Column, json_text, table_of
+from planner.arguments import MAX_STEP, argument
+from planner.errors import InputError, UsageError
+from planner.failure_model import FailureModel
+from planner.files import Json
+from planner.formatting import counted, in_percent, percent
+from planner.plan.plan import Area, Plan
+from planner.plan.state import NAT, NO_CELLS, MissionState, RobotState
+from planner.settings import Settings
+from planner.simulator.codes import NO_AREA, NO_CELL
+from planner.world.world import MAX_ROBOTS, World
+
+LEVEL = 0.95
+"""Of the interval of the multiplier."""
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """What a robot flew.
+
+    Attributes:
+        name: of the robot. start: its first cell.
+        cells: int64 `[n]`, the cells that it entered, in order; a cell may be there several times.
+        times: float64 `[n]`, seconds or steps. lost: whether it was lost.
+        gaps: number of gaps in time whose way is not known. off: share of its places off the map or on obstacles.
+        hazard: cumulative hazard of its visits by the map and its failure model, nats; None: not known.
+    """
+
+    name: str
+    start: int
+    cells: NDArray[np.int64]
+    times: NDArray[np.float64]
+    lost: bool
+    gaps: int
+    off: float
+    hazard: float | None
+
+    @property
+    def survived(self) -> NDArray[np.int64]:
+        """The cells that it entered and survived."""
+        return self.cells[: len(self.cells) - self.lost]
+
+
+@dataclass(frozen=True)
+class Multiplier:
+    """Posterior of one factor on the map's hazard: Gamma(lost + 1/2, hazard), by Jeffreys' prior.
+
+    Robots are lost as by a Poisson process in their cumulative hazard, stopped at the loss or at the end of the flight.
+
+    Attributes:
+        lost: number of lost robots. hazard: the sum of the robots' cumulative hazards, above 0, nats.
+    """
+
+    lost: int
+    hazard: float
+
+    @property
+    def mean(self) -> float:
+        """Expected factor."""
+        return (self.lost + 0.5) / self.hazard
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The central interval of probability LEVEL."""
+        ends = gamma.ppf(((1 - LEVEL) / 2, (1 + LEVEL) / 2), self.lost + 0.5, scale=1 / self.hazard)
+        return float(ends[0]), float(ends[1])
+
+    @property
+    def above(self) -> float:
+        """Probability that the true hazard is larger than the map's."""
+        return float(gamma.sf(1.0, self.lost + 0.5, scale=1 / self.hazard))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Debrief(Result):
+    """A mission as flown.
+
+    Attributes:
+        world: the map. plan: the plan that was to be flown, or None. tracks: the file.
+        flights: by robot.
+        state: the state at the end, for `plan` and `drive`; None: all robots are lost, or nothing is left.
+        rest: the plan of the rest from there, or None. notes: remarks for the user.
+    """
+
+    reported_by = "analysis.debrief:report"
+    listed = "gaps"
+
+    world: World
+    plan: Plan | None
+    tracks: str
+    flights: tuple[Flight, ...]
+    state: MissionState | None
+    rest: Plan | None
+    notes: tuple[str, ...] = ()
+    partial: bool = False
+
+    @cached_property
+    def accessible(self) -> NDArray[np.bool_]:
+        """bool `[N]`: cells that some robot can reach from its start."""
+        starts = np.array([flight.start for flight in self.flights])
+        return self.world.accessible(np.stack(np.divmod(starts, self.world.shape[1]), axis=1)).ravel()
+
+    @cached_property
+    def visited(self) -> NDArray[np.bool_]:
+        """bool `[N]`: accessible cells that some robot entered."""
+        return self.accessible & _marked(self.world, [flight.cells for flight in self.flights])
+
+    @cached_property
+    def survived(self) -> NDArray[np.bool_]:
+        """bool `[N]`: those that some robot entered and survived."""
+        return self.accessible & _marked(self.world, [flight.survived for flight in self.flights])
+
+    @cached_property
+    def planned(self) -> NDArray[np.bool_] | None:
+        """bool `[N]`: cells on the plan's paths."""
+        return None if self.plan is None else _marked(self.world, [robot.path for robot in self.plan.robots])
+
+    @cached_property
+    def expected(self) -> float | None:
+        """Expected share of the accessible cells that the plan visits in the open loop; None: no exact value."""
+        exact = None if self.plan is None else open_loop_exact(self.plan, self.world)
+        return exact.visited / self.cells if exact is not None and exact.is_known else None
+
+    @property
+    def cells(self) -> int:
+        """Number of accessible cells."""
+        return int(self.accessible.sum())
+
+    def share(self, marked: NDArray[np.bool_]) -> float:
+        """Cells as a share of the accessible ones."""
+        return float(marked.sum() / max(self.cells, 1))
+
+    @cached_property
+    def gaps(self) -> tuple[NDArray[np.int64], ...]:
+        """Connected areas of accessible cells that no robot entered, the largest first: int64 cells each."""
+        return connected(self.accessible & ~self.visited, self.world)
+
+    @property
+    def lost(self) -> int:
+        """Number of lost robots."""
+        return sum(flight.lost for flight in self.flights)
+
+    @property
+    def multiplier(self) -> Multiplier | None:
+        """Loss rate met against the map's; None: no visit was dangerous, or the map has no hazard of a visit."""
+        hazards = [flight.hazard for flight in self.flights if flight.hazard is not None]
+        total = sum(hazards)
+        return Multiplier(self.lost, total) if total > 0 and len(hazards) == len(self.flights) else None
+
+
+def connected(marked: NDArray[np.bool_], world: World) -> tuple[NDArray[np.int64], ...]:
+    """4-connected areas of marked cells, bool `[N]`, the largest first: int64 cells each."""
+    labels = ndimage.label(marked.reshape(world.shape))[0].ravel()
+    order = np.argsort(labels, kind="stable")
+    found = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
+    return tuple(sorted((cells for cells in found if labels[cells[0]]), key=len, reverse=True))
+
+
+def _marked(world: World, paths: Sequence[NDArray[np.int64]]) -> NDArray[np.bool_]:
+    """bool `[N]`: the cells of paths."""
+    marked = np.zeros(world.threat.size, dtype=bool)
+    marked[np.concatenate(paths)] = True
+    return marked
+
+
+def make_debrief(world: World, path: Path, plan: Plan | None, settings: Settings, lost: Collection[str]) -> Debrief:
+    """The debrief of the tracks in a file.
+
+    Args:
+        world: the map. path: the tracks. plan: that was to be flown, or None.
+        settings: of the plan of the rest, and failure model without a plan. lost: names of lost robots.
+
+    Raises:
+        MapError: the tracks cannot be read on this map.
+        UsageError: a robot that is not in the tracks or in the plan.
+    """
+    tracks, in_steps = read_tracks(path, world)
+    known: dict[str, Track | None] = {track.name: track for track in tracks}
+    if plan is not None:
+        known = _of_plan(known, plan, path)
+    elif len(known) > MAX_ROBOTS:
+        raise UsageError(f"{len(known)} robots in {path}", expected=f"at most {MAX_ROBOTS}")
+    for name in lost:
+        if name not in known:
+            raise UsageError(argument("lost", name), expected=f"robots of {path}: {', '.join(known)[:80]}")
+    step = 1.0 if in_steps else world.pace.seconds
+    model, flights = settings.failure_model() if plan is None else plan.failure_model, []
+    for number, (name, track) in enumerate(known.items()):
+        start = NO_CELL if plan is None else int(plan.robots[number].path[0])
+        # A robot without a track has not left its start.
+        found = Walk(np.array([start]), np.zeros(1), 0, 0.0) if track is None else walk(track, world, step)
+        hazard = _hazard(found, world.of_robots(model.types, len(known))[number], model, number, step)
+        is_lost = name in lost or (track is not None and track.lost)
+        begin = int(found.cells[0]) if plan is None else start
+        flights.append(Flight(name, begin, *found[:2], is_lost, *found[2:], hazard))
+    done = Debrief(world, plan, str(path), tuple(flights), None, None, _notes(flights, known, step))
+    state = _state(done, step)
+    if state is None:
+        return done
+    try:
+        rest = plan_from_state(world, state, replace(settings, plan_for="closed_loop"), str(path))
+    except InputError as error:
+        return replace(done, state=state, notes=(*done.notes, f"the rest is not planned: {error}"))
+    return replace(done, state=state, rest=rest)
+
+
+def _notes(flights: Sequence[Flight], known: Mapping[str, Track | None], step: float | None) -> tuple[str, ...]:
+    """Remarks on the tracks."""
+    absent = [name for name, track in known.items() if track is None]
+    gaps, off = sum(flight.gaps for flight in flights), max(flight.off for flight in flights)
+    begins = [track.times[0] for track in known.values() if track is not None]
+    apart = max(begins) - min(begins)
+    return tuple(
+        said
+        for said, is_true in (
+            (f"no track of robot {', '.join(absent)}: taken to be at its start", absent),
+            (f"{counted(gaps, 'gap')} in time: the way across is not known, its cells are not counted", gaps),
+            (f"up to {percent(off)} of a robot's places lie off the map or on obstacles: left out", off),
+            (f"first times of robots are {apart:g} apart: each robot's own clock is used", apart),
+            (f"places are not averaged: give {argument('speed')} or {argument('step_seconds')}", step is None),
+            ("the loss rate is not compared: threats move, or change at times that the tracks lack",
+             any(flight.hazard is None for flight in flights)),
+        )
+        if is_true
+    )  # fmt: skip
+
+
+def _of_plan(known: Mapping[str, Track | None], plan: Plan, path: Path) -> dict[str, Track | None]:
+    """The track of each robot of the plan, by number; names that are no numbers count in the order of the file."""
+    robots = len(plan.robots)
+    if not all(name.isdecimal() for name in known):
+        known = {str(number): track for number, track in enumerate(known.values())}
+    for name in known:
+        if int(name) >= robots:
+            expected, fix = f"robots 0 to {robots - 1} in {path}", "give the plan that was flown"
+            raise UsageError(f"robot {name} is none of the plan's {robots}", expected=expected, fix=fix)
+    return {str(number): known.get(str(number)) for number in range(robots)}
+
+
+def _hazard(found: Walk, own: World, model: FailureModel, number: int, step: float | None) -> float | None:
+    """Cumulative hazard of visits in the robot's failure model; None for threats that move, or change unknown when.
+
+    `own`: the world as the robot meets it.
+    """
+    if own.movers is not None or (own.phases is not None and step is None):
+        return None
+    if own.phases is None:
+        # The p that was assumed is that of the planned map, whatever is true.
+        nats = -np.log1p(-np.nan_to_num(own.threat.ravel()[found.cells]).astype(np.float64))
+    else:
+        # A move that begins at step t enters its cell at step t + 1, and crosses the border in between.
+        steps = np.ceil((found.times - found.times[0]) / (step or 1.0) - 1e-9).astype(np.int64)
+        nats = own.exposures[0][own.visits(found.cells, steps)] / NAT
+    return max(0.0, float(-np.log(model.survival(nats.sum(), number))))
+
+
+def _state(done: Debrief, step: float | None) -> MissionState | None:
+    """The state after the flights, areas to be allocated anew; None if no robot is left, or nothing to do."""
+    moves = [min(len(flight.cells) - 1, MAX_STEP) for flight in done.flights]
+    # The duration of each robot by its own clock: clocks of robots need not agree.
+    spans = [float(np.ptp(flight.times)) / step for flight in done.flights] if step is not None else moves
+    robots = tuple(
+        RobotState(int(flight.cells[-1]), "dead" if flight.lost else "idle", NO_AREA, NO_CELLS, NO_CELLS, count, False,
+                   home=flight.start)
+        for flight, count in zip(done.flights, moves, strict=True)
+    )  # fmt: skip
+    if done.visited.sum() == done.cells or done.lost == len(robots):
+        return None
+    survived = np.union1d(np.flatnonzero(done.survived), [robot.cell for robot in robots if robot.alive])
+    visited = np.union1d(np.flatnonzero(done.visited), [robot.cell for robot in robots])
+    last = min(round(max(spans)), MAX_STEP)
+    world = done.world
+    return MissionState(world.shape, world.sha256, last, visited, survived, robots)
+
+
+# The report: planned against flown, gaps, the loss rate, the rest.
+
+SHOWN = 12
+"""Gaps and areas in a table; a page and JSON have all."""
+LAYER = ("obstacle or out of reach", "flown", "left")
+
+
+def report(done: Debrief) -> Report:
+    """The report of a debrief."""
+    parts = [Section("Robots", [_robots(done)], [ROBOTS_NOTE] if _known_hazard(done) else [])]
+    if done.plan is not None and done.plan.areas:
+        rows = list(enumerate(done.plan.areas))
+        parts.append(
+            Section("Areas of the plan", [_areas(done, rows[:SHOWN])], _more(rows), whole=[_areas(done, rows)])
+        )
+    if done.gaps:
+        gaps = list(enumerate(done.gaps))
+        parts.append(Section("Gaps", [_gaps(done, gaps[:SHOWN])], _more(gaps), whole=[_gaps(done, gaps)]))
+    files = {} if done.state is None else {"state.json": lambda: json_text(done.state.to_json(), compact=True)}  # type: ignore[union-attr]
+    files |= {} if done.rest is None else {"rest.json": lambda: json_text(done.rest.to_json(), compact=True)}  # type: ignore[union-attr]
+    files |= {} if done.world.georeference is None else {"flown.geojson": lambda: flown_geojson(done)}
+    return Report(
+        "debrief", "debrief", f"{done.world.name}: what was flown?", headline(done), lambda: _json(done),
+        findings=_findings(done), figures=_key_figures(done),
+        heading=[f"{map_text(done.world, done.cells, len(done.flights))}, tracks {done.tracks}"],
+        picture=lambda: _map(done), parts=parts, notes=done.notes, pace=done.world.pace,
+        pictures={"debrief.png": lambda: _map(done)}, files=files,
+    )  # fmt: skip
+
+
+ROBOTS_NOTE = "hazard: sum of -ln(1 - p) over the visits; survives: chance of that by the map"
+
+
+def _more(rows: list[Any]) -> list[str]:
+    left = len(rows) - SHOWN
+    return [f"{left} more on the page and in the JSON object"] if left > 0 else []
+
+
+def _known_hazard(done: Debrief) -> bool:
+    return all(flight.hazard is not None for flight in done.flights)
+
+
+def headline(done: Debrief) -> str:
+    """Coverage as flown, against the plan, in one sentence."""
+    planned = "" if done.planned is None else f" (planned: {in_percent(done.share(done.planned), 2)}"
+    if planned:
+        planned += (
+            " %" + ("" if done.expected is None else f", expected with losses: {percent(done.expected, 2)}") + ")"
+        )
+    left = f"{counted(len(done.gaps), 'gap')} of {counted(sum(map(len, done.gaps)), 'cell')} left"
+    said = (
+        f"{counted(len(done.flights), 'robot')} visited {percent(done.share(done.visited), 2)} of the accessible cells"
+    )
+    return f"{said}{planned}; {left if done.gaps else 'nothing left'}."
+
+
+def _findings(done: Debrief) -> list[str]:
+    found, lost = done.multiplier, f"{done.lost} of {counted(len(done.flights), 'robot')} lost"
+    if found is not None:
+        low, high = found.interval
+        lost += (
+            f"; by the map's hazard {found.hazard:.2f} are expected here. The hazard met is {found.mean:.2f} "
+            f"times that of the map ({low:.2f} .. {high:.2f}), larger with probability {percent(found.above)}"
+        )
+    if done.rest is None:
+        return [f"{lost}."]
+    return [f"{lost}.", f"The rest, planned from here: {done.rest.ends}."]
+
+
+def _key_figures(done: Debrief) -> list[KeyFigure]:
+    figures = [KeyFigure(percent(done.share(done.visited), 2), "visited"), KeyFigure(str(done.lost), "robots lost")]
+    if done.planned is not None:
+        figures.insert(1, KeyFigure(percent(done.share(done.planned), 2), "planned"))
+    if (found := done.multiplier) is not None:
+        low, high = found.interval
+        figures.append(KeyFigure(f"{found.mean:.2f}", "hazard met / hazard of the map", f"{low:.2f} .. {high:.2f}"))
+    return figures
+
+
+def _robots(done: Debrief) -> Table:
+    known, planned = _known_hazard(done), done.plan is not None
+    paths = [None if done.plan is None else done.plan.robots[n].path for n in range(len(done.flights))]
+
+    def kept(row: tuple[Flight, NDArray[np.int64] | None]) -> str:
+        flight, path = row
+        return "" if path is None else in_percent(float(np.isin(np.unique(path), flight.cells).mean()))
+
+    columns = (
+        Column("robot", lambda row: row[0].name, words=True),
+        Column("visits", lambda row: len(row[0].cells)),
+        Column("cells", lambda row: len(np.unique(row[0].cells))),
+        Column("of its path, %", kept, shown=planned),
+        Column("hazard", lambda row: f"{row[0].hazard:.3f}", shown=known),
+        Column("survives, %", lambda row: in_percent(float(np.exp(-row[0].hazard))), shown=known),
+        Column("end", lambda row: "lost" if row[0].lost else "", words=True),
+        Column("gaps in time", lambda row: row[0].gaps),
+        Column("off the map, %", lambda row: in_percent(row[0].off)),
+    )
+    return table_of(columns, zip(done.flights, paths, strict=True))
+
+
+def _areas(done: Debrief, rows: list[tuple[int, Area]]) -> Table:
+    columns = (
+        Column("area", lambda row: row[0]),
+        Column("robot", lambda row: "" if row[1].robot < 0 else row[1].robot),
+        Column("level", lambda row: row[1].level),
+        Column("cells", lambda row: len(row[1].cells)),
+        Column("flown, %", lambda row: in_percent(float(done.visited[row[1].cells].mean()))),
+    )
+    return table_of(columns, rows)
+
+
+def _gaps(done: Debrief, rows: list[tuple[int, NDArray[np.int64]]]) -> Table:
+    columns = (
+        Column("gap", lambda row: row[0]),
+        Column("cells", lambda row: len(row[1])),
+        Column("m²", lambda row: f"{_gap(done, row[1])['area_m2']:,.0f}", shown=done.world.measured),
+        Column("at [row, col]", lambda row: str(_gap(done, row[1])["cell"])),
+        Column("largest p, %", lambda row: in_percent(_gap(done, row[1])["threat"])),
+    )
+    return table_of(columns, rows)
+
+
+def _gap(done: Debrief, cells: NDArray[np.int64]) -> Json:
+    """Size of a gap, its cell nearest to the middle, and its largest p."""
+    places = np.stack(np.divmod(cells, done.world.shape[1]), axis=1)
+    middle = places[np.square(places - places.mean(axis=0)).sum(axis=1).argmin()].tolist()
+    threat = float(np.nanmax(done.world.threat.ravel()[cells]))
+    return {"cells": len(cells), "area_m2": len(cells) * done.world.cell_size**2, "cell": middle, "threat": threat}
+
+
+def _map(done: Debrief) -> CellMaps:
+    from matplotlib.colors import ListedColormap, Normalize
+
+    kinds = done.accessible.astype(np.float64) * (2.0 - done.visited)
+    layer = CellLayer(
+        "Flown and left", "Cells that some robot entered, and those that none did.", kinds.reshape(done.world.shape),
+        ListedColormap(["#ffffff", "#66c2a5", "#fc8d62"]), norm=Normalize(0, len(LAYER) - 1), names=LAYER,
+        short="Flown",
+    )  # fmt: skip
+    starts = np.array([divmod(flight.start, done.world.shape[1]) for flight in done.flights])
+    gaps = [(f"gap {number}", cells, False) for number, cells in enumerate(done.gaps[:SHOWN])]
+    return CellMaps(done.world, starts, [layer], gaps)
+
+
+def flown_geojson(done: Debrief) -> str:
+    """A FeatureCollection of polygons: `kind` "flown", and "left" for each gap, with its cells, area and largest p."""
+    from analysis.exporting.mission import polygons
+
+    areas = [*connected(done.visited, done.world), *done.gaps]
+    facts = [{"kind": "flown" if done.visited[cells[0]] else "left"} | _gap(done, cells) for cells in areas]
+    features = [
+        {"type": "Feature", "properties": as_json(of), "geometry": {"type": "MultiPolygon", "coordinates": parts}}
+        for of, parts in zip(facts, polygons(done.world, areas), strict=True)
+    ]
+    lines = ",\n".join(json.dumps(feature, allow_nan=False) for feature in features)
+    return f'{{"type": "FeatureCollection", "features": [\n{lines}\n]}}\n'
+
+
+def _json(done: Debrief) -> Json:
+    """The JSON object; coverage in fractions of the accessible cells."""
+    found = done.multiplier
+    rate = None if found is None else {
+        "mean": found.mean, "ci95": list(found.interval), "above_one": found.above
+    }  # fmt: skip
+    coverage: Json = {
+        "accessible": done.cells,
+        "visited": done.share(done.visited),
+        "survived": done.share(done.survived),
+    }
+    if done.planned is not None:
+        coverage |= {"planned": done.share(done.planned), "expected": done.expected}
+    robots = [
+        {"robot": flight.name, "visits": len(flight.cells), "cells": len(np.unique(flight.cells)), "lost": flight.lost,
+         "hazard": flight.hazard, "gaps_in_time": flight.gaps, "off_the_map": flight.off}
+        for flight in done.flights
+    ]  # fmt: skip
+    areas = [] if done.plan is None else [
+        {"area": number, "robot": area.robot, "cells": len(area.cells), "visited": int(done.visited[area.cells].sum())}
+        for number, area in enumerate(done.plan.areas)
+    ]  # fmt: skip
+    return {
+        "answer": headline(done),
+        "input": done.world.source,
+        "tracks": done.tracks,
+        "coverage": coverage,
+        "robots": robots,
+        "lost": done.lost,
+        "hazard": None if found is None else found.hazard,
+        "hazard_multiplier": rate,
+        "areas": areas,
+        "gaps": [_gap(done, cells) for cells in done.gaps],
+        "rest": None if done.rest is None else {"outcome": done.rest.outcome, "time": done.rest.time},
+        **json_end(done, done.notes),
+    }
