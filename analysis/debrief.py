@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from planner.errors import InputError, UsageError
 from planner.failure_model import FailureModel
 from planner.files import Json
 from planner.formatting import counted, in_percent, percent
-from planner.plan.plan import Area, Plan
+from planner.plan.plan import Plan
 from planner.plan.state import NAT, NO_CELLS, MissionState, RobotState
 from planner.settings import Settings
 from planner.simulator.codes import NO_AREA, NO_CELL
@@ -299,57 +299,90 @@ def _state(done: Debrief, step: float | None) -> MissionState | None:
 # The report: planned against flown, gaps, the loss rate, the rest.
 
 SHOWN = 12
-"""Gaps and areas in a table; a page and JSON have all."""
-LAYER = ("obstacle or out of reach", "flown", "left")
+"""Rows of a table on a terminal; a page and JSON have all."""
+SECTIONS: dict[str, tuple[str, dict[str, Callable[[Any], str]]]] = {
+    "robots": ("Robots", {
+        "robot": str, "visits": str, "cells": str, "of_its_path": in_percent, "hazard": "{:.3f}".format,
+        "survives": in_percent, "lost": lambda lost: "lost" if lost else "", "gaps_in_time": str,
+        "off_the_map": in_percent,
+    }),
+    "areas": ("Areas of the plan", {"area": str, "robot": str, "level": str, "cells": str, "visited": in_percent}),
+    "gaps": ("Gaps", {"gap": str, "cells": str, "area_m2": "{:,.0f}".format, "cell": str, "threat": in_percent}),
+}  # fmt: skip
+"""Sections by their key in the JSON object: title, and how values of a row are shown, unless all are None."""
+NOTE = "hazard: sum of -ln(1 - p) over the visits; survives: chance of that by the map"
 
 
 def report(done: Debrief) -> Report:
     """The report of a debrief."""
-    parts = [Section("Robots", [_robots(done)], [ROBOTS_NOTE] if _known_hazard(done) else [])]
-    if done.plan is not None and done.plan.areas:
-        rows = list(enumerate(done.plan.areas))
-        parts.append(
-            Section("Areas of the plan", [_areas(done, rows[:SHOWN])], _more(rows), whole=[_areas(done, rows)])
-        )
-    if done.gaps:
-        gaps = list(enumerate(done.gaps))
-        parts.append(Section("Gaps", [_gaps(done, gaps[:SHOWN])], _more(gaps), whole=[_gaps(done, gaps)]))
-    files = {} if done.state is None else {"state.json": lambda: json_text(done.state.to_json(), compact=True)}  # type: ignore[union-attr]
-    files |= {} if done.rest is None else {"rest.json": lambda: json_text(done.rest.to_json(), compact=True)}  # type: ignore[union-attr]
-    files |= {} if done.world.georeference is None else {"flown.geojson": lambda: flown_geojson(done)}
+    rows, parts = _rows(done), []
+    for name, (title, _) in SECTIONS.items():
+        more = len(rows[name]) - SHOWN
+        notes = [NOTE] * (name == "robots") + [f"{more} more on the page and in the JSON object"] * (more > 0)
+        if rows[name]:
+            tables = [_table(name, rows[name][:SHOWN])], [_table(name, rows[name])]
+            parts.append(Section(title, tables[0], notes, whole=tables[1]))
+    saved: dict[str, Callable[[], str]] = {}
+    for file, part in (("state.json", done.state), ("rest.json", done.rest)):
+        if part is not None:
+            saved[file] = partial(json_text, part.to_json(), compact=True)
+    if done.world.georeference is not None:
+        saved["flown.geojson"] = partial(flown_geojson, done)
     return Report(
         "debrief", "debrief", f"{done.world.name}: what was flown?", headline(done), lambda: _json(done),
         findings=_findings(done), figures=_key_figures(done),
         heading=[f"{map_text(done.world, done.cells, len(done.flights))}, tracks {done.tracks}"],
         picture=lambda: _map(done), parts=parts, notes=done.notes, pace=done.world.pace,
-        pictures={"debrief.png": lambda: _map(done)}, files=files,
+        pictures={"debrief.png": lambda: _map(done)}, files=saved,
     )  # fmt: skip
 
 
-ROBOTS_NOTE = "hazard: sum of -ln(1 - p) over the visits; survives: chance of that by the map"
+def _rows(done: Debrief) -> dict[str, list[Json]]:
+    """Robots, areas of the plan, and gaps."""
+    found: dict[str, list[Json]] = {name: [] for name in SECTIONS}
+    for number, flight in enumerate(done.flights):
+        path = None if done.plan is None else np.unique(done.plan.robots[number].path)
+        found["robots"].append({
+            "robot": flight.name, "visits": len(flight.cells), "cells": len(np.unique(flight.cells)),
+            "of_its_path": None if path is None else float(np.isin(path, flight.cells).mean()),
+            "hazard": flight.hazard, "survives": None if flight.hazard is None else float(np.exp(-flight.hazard)),
+            "lost": flight.lost, "gaps_in_time": flight.gaps, "off_the_map": flight.off,
+        })  # fmt: skip
+    for number, area in enumerate(() if done.plan is None else done.plan.areas):
+        share = float(done.visited[area.cells].mean())
+        cells, robot = len(area.cells), None if area.robot < 0 else area.robot
+        found["areas"].append({"area": number, "robot": robot, "level": area.level, "cells": cells, "visited": share})
+    found["gaps"] = [{"gap": number} | _area(done, cells) for number, cells in enumerate(done.gaps)]
+    return found
 
 
-def _more(rows: list[Any]) -> list[str]:
-    left = len(rows) - SHOWN
-    return [f"{left} more on the page and in the JSON object"] if left > 0 else []
+def _table(name: str, rows: list[Json]) -> Table:
+    def column(key: str, show: Callable[[Any], str]) -> Column:
+        title = key.replace("_", " ") + ", %" * (show is in_percent)
+        return Column(title, lambda row: None if row[key] is None else show(row[key]))
+
+    shown = {key: show for key, show in SECTIONS[name][1].items() if any(row[key] is not None for row in rows)}
+    return table_of(map(column, shown, shown.values()), rows)
 
 
-def _known_hazard(done: Debrief) -> bool:
-    return all(flight.hazard is not None for flight in done.flights)
+def _area(done: Debrief, cells: NDArray[np.int64]) -> Json:
+    """Size of an area, its cell nearest to the middle, and its largest p."""
+    places = np.stack(np.divmod(cells, done.world.shape[1]), axis=1)
+    middle = places[np.square(places - places.mean(axis=0)).sum(axis=1).argmin()].tolist()
+    threat = float(np.nan_to_num(done.world.threat.ravel()[cells]).max())
+    size = len(cells) * done.world.cell_size**2 if done.world.measured else None
+    return {"cells": len(cells), "area_m2": size, "cell": middle, "threat": threat}
 
 
 def headline(done: Debrief) -> str:
     """Coverage as flown, against the plan, in one sentence."""
-    planned = "" if done.planned is None else f" (planned: {in_percent(done.share(done.planned), 2)}"
-    if planned:
-        planned += (
-            " %" + ("" if done.expected is None else f", expected with losses: {percent(done.expected, 2)}") + ")"
-        )
+    planned = "" if done.planned is None else f" (planned: {percent(done.share(done.planned), 2)})"
+    if done.expected is not None:
+        planned = f"{planned[:-1]}, expected with losses: {percent(done.expected, 2)})"
     left = f"{counted(len(done.gaps), 'gap')} of {counted(sum(map(len, done.gaps)), 'cell')} left"
-    said = (
-        f"{counted(len(done.flights), 'robot')} visited {percent(done.share(done.visited), 2)} of the accessible cells"
-    )
-    return f"{said}{planned}; {left if done.gaps else 'nothing left'}."
+    share = percent(done.share(done.visited), 2)
+    said = f"{counted(len(done.flights), 'robot')} visited {share} of the accessible cells{planned}"
+    return f"{said}; {left if done.gaps else 'nothing left'}."
 
 
 def _findings(done: Debrief) -> list[str]:
@@ -375,66 +408,13 @@ def _key_figures(done: Debrief) -> list[KeyFigure]:
     return figures
 
 
-def _robots(done: Debrief) -> Table:
-    known, planned = _known_hazard(done), done.plan is not None
-    paths = [None if done.plan is None else done.plan.robots[n].path for n in range(len(done.flights))]
-
-    def kept(row: tuple[Flight, NDArray[np.int64] | None]) -> str:
-        flight, path = row
-        return "" if path is None else in_percent(float(np.isin(np.unique(path), flight.cells).mean()))
-
-    columns = (
-        Column("robot", lambda row: row[0].name, words=True),
-        Column("visits", lambda row: len(row[0].cells)),
-        Column("cells", lambda row: len(np.unique(row[0].cells))),
-        Column("of its path, %", kept, shown=planned),
-        Column("hazard", lambda row: f"{row[0].hazard:.3f}", shown=known),
-        Column("survives, %", lambda row: in_percent(float(np.exp(-row[0].hazard))), shown=known),
-        Column("end", lambda row: "lost" if row[0].lost else "", words=True),
-        Column("gaps in time", lambda row: row[0].gaps),
-        Column("off the map, %", lambda row: in_percent(row[0].off)),
-    )
-    return table_of(columns, zip(done.flights, paths, strict=True))
-
-
-def _areas(done: Debrief, rows: list[tuple[int, Area]]) -> Table:
-    columns = (
-        Column("area", lambda row: row[0]),
-        Column("robot", lambda row: "" if row[1].robot < 0 else row[1].robot),
-        Column("level", lambda row: row[1].level),
-        Column("cells", lambda row: len(row[1].cells)),
-        Column("flown, %", lambda row: in_percent(float(done.visited[row[1].cells].mean()))),
-    )
-    return table_of(columns, rows)
-
-
-def _gaps(done: Debrief, rows: list[tuple[int, NDArray[np.int64]]]) -> Table:
-    columns = (
-        Column("gap", lambda row: row[0]),
-        Column("cells", lambda row: len(row[1])),
-        Column("m²", lambda row: f"{_gap(done, row[1])['area_m2']:,.0f}", shown=done.world.measured),
-        Column("at [row, col]", lambda row: str(_gap(done, row[1])["cell"])),
-        Column("largest p, %", lambda row: in_percent(_gap(done, row[1])["threat"])),
-    )
-    return table_of(columns, rows)
-
-
-def _gap(done: Debrief, cells: NDArray[np.int64]) -> Json:
-    """Size of a gap, its cell nearest to the middle, and its largest p."""
-    places = np.stack(np.divmod(cells, done.world.shape[1]), axis=1)
-    middle = places[np.square(places - places.mean(axis=0)).sum(axis=1).argmin()].tolist()
-    threat = float(np.nanmax(done.world.threat.ravel()[cells]))
-    return {"cells": len(cells), "area_m2": len(cells) * done.world.cell_size**2, "cell": middle, "threat": threat}
-
-
 def _map(done: Debrief) -> CellMaps:
     from matplotlib.colors import ListedColormap, Normalize
 
-    kinds = done.accessible.astype(np.float64) * (2.0 - done.visited)
     layer = CellLayer(
-        "Flown and left", "Cells that some robot entered, and those that none did.", kinds.reshape(done.world.shape),
-        ListedColormap(["#ffffff", "#66c2a5", "#fc8d62"]), norm=Normalize(0, len(LAYER) - 1), names=LAYER,
-        short="Flown",
+        "Flown and left", "1: some robot entered the cell; 0: none did.",
+        done.visited.astype(np.float64).reshape(done.world.shape), ListedColormap(["#fc8d62", "#66c2a5"]),
+        norm=Normalize(0, 1), labels=(0.0, 1.0), names=("left", "flown"), short="Flown",
     )  # fmt: skip
     starts = np.array([divmod(flight.start, done.world.shape[1]) for flight in done.flights])
     gaps = [(f"gap {number}", cells, False) for number, cells in enumerate(done.gaps[:SHOWN])]
@@ -446,7 +426,7 @@ def flown_geojson(done: Debrief) -> str:
     from analysis.exporting.mission import polygons
 
     areas = [*connected(done.visited, done.world), *done.gaps]
-    facts = [{"kind": "flown" if done.visited[cells[0]] else "left"} | _gap(done, cells) for cells in areas]
+    facts = [{"kind": "flown" if done.visited[cells[0]] else "left"} | _area(done, cells) for cells in areas]
     features = [
         {"type": "Feature", "properties": as_json(of), "geometry": {"type": "MultiPolygon", "coordinates": parts}}
         for of, parts in zip(facts, polygons(done.world, areas), strict=True)
@@ -458,36 +438,20 @@ def flown_geojson(done: Debrief) -> str:
 def _json(done: Debrief) -> Json:
     """The JSON object; coverage in fractions of the accessible cells."""
     found = done.multiplier
-    rate = None if found is None else {
-        "mean": found.mean, "ci95": list(found.interval), "above_one": found.above
-    }  # fmt: skip
-    coverage: Json = {
-        "accessible": done.cells,
-        "visited": done.share(done.visited),
-        "survived": done.share(done.survived),
-    }
+    coverage: Json = {name: done.share(getattr(done, name)) for name in ("visited", "survived")}
     if done.planned is not None:
         coverage |= {"planned": done.share(done.planned), "expected": done.expected}
-    robots = [
-        {"robot": flight.name, "visits": len(flight.cells), "cells": len(np.unique(flight.cells)), "lost": flight.lost,
-         "hazard": flight.hazard, "gaps_in_time": flight.gaps, "off_the_map": flight.off}
-        for flight in done.flights
-    ]  # fmt: skip
-    areas = [] if done.plan is None else [
-        {"area": number, "robot": area.robot, "cells": len(area.cells), "visited": int(done.visited[area.cells].sum())}
-        for number, area in enumerate(done.plan.areas)
-    ]  # fmt: skip
     return {
         "answer": headline(done),
         "input": done.world.source,
         "tracks": done.tracks,
-        "coverage": coverage,
-        "robots": robots,
+        "coverage": {"accessible": done.cells} | coverage,
         "lost": done.lost,
         "hazard": None if found is None else found.hazard,
-        "hazard_multiplier": rate,
-        "areas": areas,
-        "gaps": [_gap(done, cells) for cells in done.gaps],
+        "hazard_multiplier": None if found is None else {
+            "mean": found.mean, "ci95": list(found.interval), "above_one": found.above,
+        },
+        **_rows(done),
         "rest": None if done.rest is None else {"outcome": done.rest.outcome, "time": done.rest.time},
         **json_end(done, done.notes),
-    }
+    }  # fmt: skip

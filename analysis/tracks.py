@@ -59,7 +59,7 @@ def read_tracks(path: Path, world: World) -> tuple[tuple[Track, ...], bool]:
         raise MapError(f"no tracks are read from {path.suffix!r}", source=path, expected=" ".join(READERS))
     in_steps, parts = READERS[suffix](path, world)
     held: dict[str, list[Track]] = {}
-    for part in parts:
+    for part in (part for part in parts if len(part.points)):
         numbered = re.search(r"^\d{1,9}$|(?<=robot)[ _-]?\d{1,9}(?!\d)", part.name, re.IGNORECASE)
         held.setdefault(str(int(numbered[0].lstrip(" _-"))) if numbered else part.name, []).append(part)
     if not held:
@@ -76,6 +76,8 @@ def _track(name: str, parts: list[Track], world: World, path: Path) -> Track:
             raise MapError(f"robot {name[:40]} has no times", source=path, expected=IN_TIME, fix=fix)
         times += [_seconds(one, name, path) for one in part.times]
         places.append(_metres(part, world, path))
+    if not np.isfinite(np.concatenate(places)).all():
+        raise MapError(f"robot {name[:40]}: a place is no number", source=path, expected="two finite coordinates")
     order = np.argsort(times, kind="stable")
     return Track(name, np.array(times)[order], np.concatenate(places)[order], "", any(part.lost for part in parts))
 
@@ -171,7 +173,7 @@ def _gpx(path: Path, world: World) -> Found:
             parts.append(
                 Track(track.findtext("{*}name") or str(number), None if None in times else times, points, WGS84)
             )
-    return False, [part for part in parts if len(part.points)]
+    return False, parts
 
 
 def _geojson(path: Path, world: World) -> Found:
@@ -191,7 +193,8 @@ def _geojson(path: Path, world: World) -> Found:
                 raise MapError(problem, source=path, expected="a time for each place")
             name = str(facts.get("robot", facts.get("name", number)))
             lost = LOST.get(str(facts.get("status", "")).lower(), False)
-            parts.append(Track(name, times, np.array([point[:2] for point in points], dtype=np.float64), crs, lost))
+            places = np.array([point[:2] for point in points], dtype=np.float64).reshape(-1, 2)
+            parts.append(Track(name, times, places, crs, lost))
     return False, parts
 
 
@@ -257,6 +260,8 @@ READERS: dict[str, Callable[[Path, World], Found]] = {
 
 FINE = 8
 """Points in which a way of one cell is looked up."""
+FAR = 2.0**31
+"""Cells from the map's corner beyond which a place is moved there."""
 GAP = 5.0
 """Times the usual interval between places after which their way is not known."""
 
@@ -284,14 +289,17 @@ def walk(track: Track, world: World, step: float | None) -> Walk:
     Raises:
         MapError: no place lies on a free cell.
     """
-    times, places = track.times, world.places(track.points)
+    times, places = track.times, np.clip(world.places(track.points), -FAR, FAR)
     if step is not None:
         group = np.unique(np.floor((times - times[0]) / (step / 2) + 1e-9), return_inverse=True)[1].reshape(-1)
         count = np.bincount(group)
         places = np.stack([np.bincount(group, places[:, axis]) / count for axis in (0, 1)], axis=1)
         times = np.bincount(group, times) / count
     apart, away = np.diff(times), np.abs(np.diff(places, axis=0)).max(axis=1, initial=0.0)
-    cut = apart > GAP * np.median(apart[apart > 0]) if (apart > 0).any() else np.zeros(len(apart), dtype=bool)
+    # A way longer than the map is none that a robot flew.
+    cut = away > max(world.shape)
+    if (apart > 0).any():
+        cut |= apart > GAP * np.median(apart[apart > 0])
     pieces = np.where(cut, 1, np.maximum(np.ceil(away * FINE), 1)).astype(np.int64)
     # Point i of way j lies at share i / pieces[j] of it, and the last place is a point of its own.
     way = np.repeat(np.arange(len(pieces)), pieces)

@@ -63,7 +63,7 @@ FILE = "<img src=x onerror=alert(1)>\u202e\x1b[31m.npz"
 MARKUP = re.compile(r"<script>alert|<img src=x")
 PLAUSIBLE = ("1", "2", "0.5", "20", "0,0;1,1", "1,2", "new.csv", "new", "plan.json", "40s", "6x6")
 ROLLED = {"evaluate", "record", "compare", "check", "front", "size", "starts", "threats"}
-COMMANDS = (*sorted(ROLLED), "plan", "generate", "drive", "export", "results")
+COMMANDS = (*sorted(ROLLED), "plan", "generate", "drive", "export", "debrief", "results")
 VALID = {
     "--ids": "1-3", "--starts": "0,0;1,1", "--candidates": "0,0;1,1;2,2", "--range": "30", "--deadline": "20",
     "--hazard-multiplier": "1,2", "--return-to": "starts", "--plan": "plan.json", "--b.plan": "plan.json",
@@ -71,7 +71,7 @@ VALID = {
     "--plan-out": "new.json", "--scenario-out": "new.yaml", "--plot": "new.png", "--csv": "new.csv",
     "--parquet": "new.parquet", "--merge": "kept.store", "--where": "robots=1", "--by": "robots", "--to": "kml",
     "--levels": "4", "--seconds": "2", "--size": "6x7", "--exact": "never", "--threat-scale": "0.5,2",
-    "--sensor-range": "1",
+    "--sensor-range": "1", "--tracks": "tracks.csv", "--lost": "0", "--terrain": "dose.tif", "--battery": "20",
     "--risk-caps": "0,0.5", "--robot-values": "1,2", "--pick": "best", "--density": "0.5", "--risk-cap": "0.2",
     "--p": "0.1",
     "--target": "0.5", "--confidence": "0.9", "--weibull-shape": "1.5", "--gain": "0.5", "--precision": "0.2",
@@ -117,6 +117,8 @@ TARGETS = (
     Target("recording", "run.mcap", "inspect run.mcap --json"),
     Target("recovery", "run.mcap", "inspect run.mcap --repair new.mcap --json"),
     Target("logged map", "run.mcap", "plan run.mcap --json --robots 2"),
+    Target("tracks", "tracks.csv", "debrief dose.tif --tracks tracks.csv --json"),
+    Target("lines", "tracks.geojson", "debrief dose.tif --tracks tracks.geojson --json"),
     Target("drive", "lines.jsonl", "drive world.npz"),
     Target("threat names", "zones.geojson", "threats geojson.yaml --remove 1 --rollouts 64 --json"),
     Target("options", "", ""),
@@ -156,6 +158,10 @@ weibull_shape: 2
     ),
     "paths.json": json.dumps({"paths": [[[0, 0], [0, 1], [0, 2]], [[0, 1], [1, 1]]]}),
     "sites.csv": "lon,lat,strength\n15.02,51.98,0.2\n15.04,51.97,0.1\n",
+    "tracks.csv": "robot,time,lon,lat,status\n0,0,15.01,51.99,\n0,60,15.03,51.99,\n1,5,15.01,51.97,lost\n",
+    "tracks.geojson": json.dumps({"type": "FeatureCollection", "features": [
+        {"type": "Feature", "properties": {"name": NAME, "coordTimes": ["2026-05-01T12:00:00Z", "2026-05-01T12:01Z"]},
+         "geometry": {"type": "LineString", "coordinates": [[15.01, 51.99], [15.03, 51.99]]}}]}),
     "map.csv": "0,0,0.2,0\n0,nan,0,0.1\n0,0,0,0\n",
     "grid.map": "type octile\nheight 3\nwidth 4\nmap\n....\n.@..\n....\n",
     "zones.geojson": json.dumps({"type": "FeatureCollection", "features": [

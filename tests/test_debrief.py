@@ -284,6 +284,8 @@ LINE = '{"type":"FeatureCollection","features":[{"properties":%s,"geometry":{"ty
         ("t.geojson", LINE % ('{"times":[0,1]}', "[[500000,0],[500001,0]]"), "", "a point at longitude 500000"),
         ("t.geojson", LINE % ('{"times":[0]}', "[[15,52],[15,52.1]]"), "", "1 times for 2 places"),
         ("t.geojson", LINE % ("{}", "[[15,52],[15,52.1]]"), "", "has no times"),
+        ("t.geojson", LINE % ('{"times":[]}', "[]"), "", "holds no track"),
+        ("t.geojson", '{"features":7}', "", "is no GeoJSON of tracks"),
         ("t.kml", "<kml/>", "", "no tracks are read from '.kml'"),
     ],
 )  # fmt: skip

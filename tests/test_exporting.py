@@ -24,7 +24,7 @@ import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.cli.options import COMMANDS
 from analysis.exporting.formats import FORMATS
-from analysis.exporting.mission import cut_area, cut_line, outlines, straight_runs
+from analysis.exporting.mission import cut_area, cut_line, make_mission, outlines, straight_runs
 from planner.errors import InputError, MapError, PlanError, UsageError
 from planner.plan.plan import Plan, RobotPlan
 from planner.world.grid import Georeference
@@ -453,6 +453,11 @@ def test_the_fence_holds_what_can_be_reached_and_rally_points_are_bases(tmp_path
     centres = np.transpose(rasterio.warp.transform("EPSG:32633", "EPSG:4326", *world.to_xy(np.arange(80)).T))
     held = rings[0].contains_points(centres) & ~rings[1].contains_points(centres)
     assert held.tolist() == world.accessible([[0, 0]]).ravel().tolist()
+    assert FORMATS["qgc"].notes(make_mission(world, plan)) == ()
+    rough = np.zeros((9, 30))
+    rough[1::2, 1::2] = np.nan
+    many = World.create(rough, None, 4.0, world.origin, georeference=world.georeference)
+    assert "corners, and PX4 takes 64" in FORMATS["qgc"].notes(make_mission(many, mrac.plan(many)))[0]
     found = np.array(content["rallyPoints"]["points"])
     np.testing.assert_allclose(found[:, 1::-1], centres[[0, 70]], atol=1e-8)
 

@@ -70,7 +70,7 @@ def plan(source: INPUT, /, given: Given) -> int:
     if waypoints is not None and form is not None:
         mission = make_mission(world, made, given.altitude, given.speed)
         written += export(mission, waypoints, form, spare=read_files(source, state, out))
-        say(mission.unknown(form.figures))
+        say(form.notes(mission))
     if out is not None:
         made.save(out, force=True)
     if given.json:
@@ -104,7 +104,7 @@ def export(source: INPUT, /, given: Given) -> int:
     mission = make_mission(world, made, given.altitude, given.speed, given.terrain, given.battery)
     spare = read_files(source, given.plan, given.state, given.terrain)
     written = export_mission(mission, given.out, form, spare=spare)
-    say([*mission.unknown(form.figures), *(f"wrote {file}" for file in written)])
+    say([*form.notes(mission), *(f"wrote {file}" for file in written)])
     return DONE
 
 

@@ -124,6 +124,8 @@ MODES = {ABOVE_HOME: 1, ABOVE_TERRAIN: 4}
 """QGroundControl's altitude mode of each frame."""
 COPTER, ROVER = 2, 10
 """Values of MAV_TYPE."""
+MOST_CORNERS = 64
+"""Of a geofence in PX4 (DM_KEY_FENCE_POINTS_MAX)."""
 ARDUPILOT, PX4 = 3, 12
 """MAV_AUTOPILOT that QGroundControl assumes without a connected vehicle. Only ArduPilot takes ABOVE_TERRAIN."""
 
@@ -180,6 +182,13 @@ def qgc_plan(mission: Mission, robot: int) -> str:
 
 def _item(command: int, frame: int, params: list[float | None]) -> Json:
     return {"autoContinue": True, "command": command, "frame": frame, "params": params, "type": "SimpleItem"}
+
+
+def fence_note(mission: Mission) -> tuple[str, ...]:
+    """A note where the geofence has more corners than PX4 takes."""
+    starts = {int(robot.path[0]) for robot in mission.plan.robots}
+    corners = max(sum(len(one["polygon"]) for one in _fence(mission, start)) for start in starts)
+    return (f"the geofence has {corners} corners, and PX4 takes {MOST_CORNERS}",) * (corners > MOST_CORNERS)
 
 
 def _fence(mission: Mission, start: int) -> list[Json]:

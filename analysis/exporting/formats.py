@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.exporting.flight import cot, nav2_poses, nav2_route, qgc_plan, wpml, xml_text
+from analysis.exporting.flight import cot, fence_note, nav2_poses, nav2_route, qgc_plan, wpml, xml_text
 from analysis.exporting.mission import KML, Feature, Mission, Position, colour_of, features, paths
 from planner.arguments import argument, did_you_mean
 from planner.errors import UsageError
@@ -198,7 +198,7 @@ class Format:
     Attributes:
         suffixes: of its files, the usual one first. make: the contents of its files.
         on_earth: it holds longitudes and latitudes. figures: names of the exact open-loop figures in it.
-        takes: options that it uses, of OPTIONS.
+        takes: options that it uses, of OPTIONS. remarks: notes on its files.
     """
 
     suffixes: tuple[str, ...]
@@ -206,6 +206,11 @@ class Format:
     on_earth: bool = True
     figures: tuple[str, ...] = ()
     takes: tuple[str, ...] = ()
+    remarks: Callable[[Mission], tuple[str, ...]] = lambda mission: ()
+
+    def notes(self, mission: Mission) -> tuple[str, ...]:
+        """Notes on the export of a mission."""
+        return mission.unknown(self.figures) + self.remarks(mission)
 
     def check(self, world: World) -> None:
         """Raise MapError for a world that the format cannot describe, before a plan is made."""
@@ -223,7 +228,7 @@ CHANCES = ("covered", "losses", "chance_of_loss")
 OPTIONS = ("terrain", "battery")
 """Options that a format must take, if they are given."""
 FORMATS = {
-    "qgc": Format((".plan",), _each(qgc_plan), takes=("terrain",)),
+    "qgc": Format((".plan",), _each(qgc_plan), takes=("terrain",), remarks=fence_note),
     "nav2": Format((".yaml", ".yml"), _each(nav2_poses), on_earth=False),
     "geojson": Format((".geojson", ".json"), _whole(geojson), figures=CHANCES),
     "kml": Format((".kml",), _whole(kml), figures=CHANCES),
