@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from analysis.comparison import Comparison, Side
     from analysis.debrief import Debrief
     from analysis.evaluation.evaluate import Evaluation
-    from analysis.experiments.reproduction import Reproduction
     from analysis.mission_protocol import DrivenMission
     from analysis.policy_evaluation.leaderboard import Suite
     from analysis.policy_evaluation.policy_evaluation import PolicyEvaluation
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
     from analysis.recording.contents import RecordedOutcomes, RecordedRollout
     from analysis.recording.record import Pick, Recorded
     from analysis.recording.replay import Inspection, Replayed
+    from analysis.reproduction import Reproduction
     from analysis.sampling import Exactness, RolloutChoices
     from analysis.search.pareto import Front
     from analysis.search.start_positions import Starts
@@ -80,6 +80,7 @@ class PlannerOptions(TypedDict, total=False):
     weibull_shape: float | None
     hazard_multiplier: float | Sequence[float] | None
     return_to: ReturnTo
+    deliver_every: int | None
     recharge: int | None
     types: str | Sequence[str] | None
     steps_per_move: int | Sequence[int] | None
@@ -139,15 +140,29 @@ class OnePlanOptions(RolledOptions, total=False):
     seconds: float | None
 
 
-class FrontOptions(PlannerOptions, RolledOptions, total=False):
+class MetricOptions(TypedDict, total=False):
+    """The coverage that teams are compared by."""
+
+    metric: Literal["visited", "survived", "delivered"]
+
+
+class CompareOptions(OnePlanOptions, MetricOptions, total=False):
+    """Options of `compare`."""
+
+
+class FrontOptions(PlannerOptions, RolledOptions, MetricOptions, total=False):
     """Options of `front`, which varies the policy."""
 
 
 class SearchOptions(PolicyOptions, RolledOptions, total=False):
-    """Options of `starts` and `threats`."""
+    """Options of `threats`."""
 
 
-class SizeOptions(LoopOptions, RolledOptions, total=False):
+class StartsOptions(SearchOptions, MetricOptions, total=False):
+    """Options of `starts`."""
+
+
+class SizeOptions(LoopOptions, RolledOptions, MetricOptions, total=False):
     """Options of `size`, which also plans for the open loop."""
 
 
@@ -247,7 +262,7 @@ def _rollouts(options: Mapping[str, Any], **how: Any) -> RolloutChoices:
     """The rollouts among the options; `how` replaces some. Raises UsageError."""
     from analysis.sampling import RolloutChoices
 
-    given = {name: options[name] for name in ("seed", "engine", "deadline", "exact") if name in options}
+    given = {name: options[name] for name in ("seed", "engine", "deadline", "exact", "metric") if name in options}
     return RolloutChoices(first_only=_first_only(options), **{**given, **how})
 
 
@@ -398,9 +413,11 @@ def record(
     *,
     pick: Iterable[str] = (),
     ids: Iterable[int] = (),
-    rollouts: int = 10_000,
+    rollouts: int | None = None,
     outcomes: bool = False,
     step_seconds: float | None = None,
+    made: bool | None = None,
+    state_at: int | None = None,
     force: bool = False,
     **options: Unpack[RecordOptions],
 ) -> Recorded:
@@ -408,33 +425,46 @@ def record(
 
     Args:
         plan: as of `evaluate`. path: the file (.mcap); a layout for Foxglove and Lichtblick is written next to it.
-        ids: rollouts to record; or `pick`: some of `rollouts` evaluated ones, of "worst", "median", "best", ...
-            (default: those three). outcomes: store the result of each of the `rollouts` (`read_outcomes`).
+        ids: rollouts to record; or `pick`: some of the evaluated ones, of "worst", "median", "best", ... (default:
+            those three). rollouts: number of evaluated rollouts (default: 10000; with `ids` and without `outcomes`
+            none).
+        outcomes: Keep the outcome of every evaluated rollout.
         step_seconds: duration of a step in the viewer; None: the world's, or 1.
-        force: replace an existing recording or layout; without it an existing file is an InputError.
+        made: whether a replay plans again; else it confirms the plan. None: unless `plan` is a file, external, or
+            continues a mission.
+        state_at: With one of `ids`: write its state after this step to NAME.state.json.
+        force: replace existing files; without it an existing file is an InputError.
     """
-    from analysis.recording.names import SUFFIX, check_name, layout_name
-    from analysis.recording.record import Request, parse_picks
+    from analysis.recording.names import check_names, layout_name, state_name
+    from analysis.recording.record import Request, parse_picks, scenario_text, state_of_rollout
     from analysis.recording.record import record as record_rollouts
     from analysis.recording.viewers.topics import write_layout
     from planner.files import check_new
 
-    check_name(Path(path), SUFFIX)
+    check_names(Path(path))
     check_new(path, layout_name(Path(path)), force=force)
     chosen, names = tuple(ids), tuple(pick)
-    picks: tuple[Pick, ...] = () if chosen and not names else tuple(parse_picks(",".join(names or PICKS)))
-    count = as_whole(rollouts) if picks or outcomes else 0
+    if chosen and names:
+        raise UsageError(f"both {argument('ids')} and {argument('pick')} are given", expected="one of them")
+    OPTIONS["rollouts"].numbers.check("rollouts", rollouts, optional=True)
+    picks: tuple[Pick, ...] = () if chosen else parse_picks(",".join(names or PICKS))
+    usual = 10_000 if picks or outcomes else 0
 
     def work(tell: ProgressCallback, doing: Doing) -> Recorded:
         of, given = plan_of(world, plan)
-        made = not given.is_external
-        seconds = of.with_pace(step_seconds).pace.seconds or 1.0
-        how: Any = {"loop": options["loop"] or given.usual_loop, "step_seconds": seconds, "made": made}
-        how |= {"outcomes": outcomes} | {name: options[name] for name in ("seed", "engine")}
-        how["first_only"] = _first_only(options)
-        request = Request(chosen, picks, count, **how)
+        own = not (isinstance(plan, str | Path) or given.is_external or given.state) if made is None else made
+        how: Any = {"loop": options["loop"] or given.usual_loop, "outcomes": outcomes, "made": own}
+        how |= {name: options[name] for name in ("seed", "engine")} | {"first_only": _first_only(options)}
+        how["scenario"] = scenario_text(of.source)
+        how["step_seconds"] = of.with_pace(step_seconds).pace.seconds or 1.0
+        request = Request(chosen, picks, usual if rollouts is None else as_whole(rollouts), **how)
+        state = None if state_at is None else state_of_rollout(of, given, request, state_at)
         done = record_rollouts(of, given, request, path, progress=tell, doing=doing)
-        write_layout(layout_name(done.path), of, len(given.robots))
+        done.files = [done.path, layout_name(done.path)]
+        write_layout(done.files[1], of, len(given.robots))
+        if state is not None:
+            done.files.append(state_name(done.path))
+            state.save(done.files[2], force=True)
         return done
 
     return _ask(work, options)
@@ -632,22 +662,49 @@ def _where(options: Mapping[str, Any]) -> dict[str, Any]:
     return where
 
 
-def results(store: str | Path, *, by: Sequence[str] = (), where: dict[str, Any] | None = None) -> Results:
-    """The results in a store as rows: a mean over maps for each setting.
+def results(
+    store: str | Path,
+    *,
+    by: str | Sequence[str] = (),
+    where: Mapping[str, Any] | None = None,
+    merge: Iterable[str | Path] = (),
+    csv: str | Path | None = None,
+    parquet: str | Path | None = None,
+    plot: str | Path | None = None,
+    figure: str = "visited",
+) -> Results:
+    """Contents of a store as rows, a mean over maps for each setting; export, and union with other stores.
 
     Args:
-        by: labels to group by (default: all that vary). where: values of labels to select, one or several each.
+        by: labels to group by, also as "robots,kind" (default: all that vary).
+        where: values of labels to select, one or several each.
+        merge: First copy the intact results of this store into STORE; may be repeated.
+        csv: Write one line per run (.csv).
+        parquet: Write one row per run (.parquet).
+        plot: Write a picture (.png) of the figure over the first numeric label.
+        figure: of the picture: one of `analysis.sweeps.results.FIGURES`.
     """
-    from analysis.sweeps.results import collect
-    from analysis.sweeps.store import Store
+    from analysis.sweeps.report import write_chart
+    from analysis.sweeps.results import collect, write_csv, write_parquet
+    from analysis.sweeps.store import Store, merge_stores
 
     def texts(value: object) -> tuple[str, ...]:
         several = [value] if isinstance(value, str) or not isinstance(value, Iterable) else value
         return tuple(str(one) for one in several)
 
+    names = [name for name in by.split(",") if name] if isinstance(by, str) else list(by)
+    if isinstance(by, str) and not names:
+        raise UsageError(f"{argument('by')} {by!r}", expected='names of labels, "robots,kind"')
     wanted = {name: texts(value) for name, value in (where or {}).items()}
+    merge_stores(Path(store), [Path(other) for other in merge])
     with Store.open(Path(store), write=False) as opened:
-        return collect(opened, wanted, list(by))
+        found = collect(opened, wanted, names)
+        for out, write in ((csv, write_csv), (parquet, write_parquet)):
+            if out is not None:
+                write(opened, wanted, Path(out))
+    if plot is not None:
+        write_chart(found.rows, figure, Path(plot))
+    return found
 
 
 def generate(
@@ -847,14 +904,14 @@ def _rest(world: World, state: MissionState | str | Path) -> Plan:
     return plan(world, state=state)
 
 
-@takes(OnePlanOptions, deadline=REPORTED)
+@takes(CompareOptions, deadline=REPORTED)
 def compare(
     a: tuple[World, PlanSource],
     b: tuple[World, PlanSource],
     *,
     loop_b: Loop | None = None,
     threat_checks_b: ThreatChecks | None = None,
-    **options: Unpack[OnePlanOptions],
+    **options: Unpack[CompareOptions],
 ) -> Comparison:
     """Difference between two plans, settings, teams or maps, on common random numbers.
 
@@ -950,7 +1007,7 @@ def check(
     if mode == "world":
         of = plan_of(world, plan)  # type: ignore[arg-type]
         return _ask(lambda tell, doing: check_input(*of, choices, tell, bound, theory), options)
-    sizes = (1, 2, 4, 8, 20) if robots is None else tuple(sorted(set(robots)))
+    sizes = (1, 2, 4, 8, 20) if robots is None else tuple(sorted({robots} if isinstance(robots, int) else set(robots)))
     for count in sizes or (0,):
         whole(1, 1024).check("robots", count)
     survey = make_survey(worlds or 0, kind, size, sizes, settings, bool(bound))
@@ -964,7 +1021,7 @@ def check(
 
 def _reproduction(given: Mapping[str, Any]) -> Reproduction:
     """The paper's experiments. Raises InputError."""
-    from analysis.experiments.reproduction import reproduce
+    from analysis.reproduction import reproduce
     from analysis.sweeps.cases import check_maps
     from analysis.sweeps.store import Store
     from analysis.utils.progress import compiling_elsewhere
@@ -1038,7 +1095,6 @@ def size(
     target: float | None = None,
     confidence: float | None = None,
     complete: bool = False,
-    meaning: Literal["visited", "survived"] = "visited",
     most: int | None = None,
     starts: ArrayLike | None = None,
     loop: Loop | None = None,
@@ -1055,7 +1111,6 @@ def size(
         target: Fraction of the accessible cells to cover, above 0, at most 1.
         confidence: Required chance of covering the target (default: expected coverage decides; with `complete`: 0.95).
         complete: Cover every accessible cell: `target` 1 with a confidence.
-        meaning: A cell counts when a robot enters it (visited) or leaves it alive (survived) (default: visited).
         most: Largest team to evaluate (default: 64; at most the number of starts).
         starts: `[[row, col], ...]`, of which a team takes the first; default: the world's own, else its start rule.
         loop: closed: survivors take over the work of lost robots (default); open: fixed paths.
@@ -1067,7 +1122,7 @@ def size(
     from planner.world.world import check_starts
 
     settings = _settings(world, options)
-    goal = make_goal(target, confidence, complete, meaning, most)
+    goal = make_goal(target, confidence, complete, options["metric"], most)
     amount = how_much(rollouts, precision, None, usual=100_000) | {"seconds": None}
     loop = loop or ("open" if settings.plan_for == "open_loop" else "closed")
     choices = _rollouts(options, loop=loop, **amount)
@@ -1115,7 +1170,7 @@ def front(
     return _found(partial(find_front, world, placed, settings, choices, goal=goal, ladders=ladders), options)
 
 
-@takes(SearchOptions)
+@takes(StartsOptions)
 def starts(
     world: World,
     robots: int | None = None,
@@ -1123,7 +1178,7 @@ def starts(
     depot: bool = False,
     candidates: ArrayLike | str | Path = "border",
     rollouts: int = 4096,
-    **options: Unpack[SearchOptions],
+    **options: Unpack[StartsOptions],
 ) -> Starts:
     """The best start cells: one for each robot, or one for all.
 

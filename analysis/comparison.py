@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,8 @@ from rich.table import Table
 
 from analysis.estimators.trial import closed_truth
 from analysis.report.model import KeyFigure, Report, Section
-from analysis.report.result import Result, json_end
-from analysis.sampling import RolloutChoices, check_deadline, home_of, knowing_deadline, make_singles
+from analysis.report.result import Result
+from analysis.sampling import RolloutChoices, check_deadline, check_metric, home_of, knowing_deadline, make_singles
 from analysis.statistics.estimates import Estimate, between, exactly, looks, of_all, proportion, robots_text
 from analysis.statistics.variance_reduction import LEAST, CommonThresholds, Difference, Paired, controlled, difference
 from analysis.theory.exact import open_loop_exact
@@ -26,11 +26,11 @@ from analysis.utils.notes import ProgressCallback
 from analysis.utils.tables import failure_text, make_table, span_text
 from planner.arguments import MOST_ROLLOUTS
 from planner.errors import UsageError
-from planner.files import Json
 from planner.formatting import UNPACED, Pace, counted, in_percent, percent, share
+from planner.json_objects import as_json
 from planner.plan.plan import Plan, is_certain
 from planner.rollouts.closed_loop import MOST_TABLED
-from planner.rollouts.engine import rollouts_per_call, run_ranges
+from planner.rollouts.engine import choose_engine, rollouts_per_call, run_ranges
 from planner.rollouts.tables import AllPairs
 from planner.rollouts.threshold_classes import COLUMNS, sums_by_threshold
 from planner.simulator.codes import Outcome
@@ -41,6 +41,10 @@ FIGURES = ("visited", "survived", "complete", "alive", "time")
 """Compared figures: cells covered in both meanings, whether all were visited, robots alive at the end, steps."""
 OF_HOME = ("home", "all_home")
 """Figures if robots return to base: the number of returned robots, and whether all have returned."""
+DELIVERED = ("delivered",)
+"""The figure if cells delivered are counted."""
+OF_CELLS = ("visited", "survived", *DELIVERED)
+VERBS = dict(zip(OF_CELLS, ("visits", "survives", "delivers"), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +55,22 @@ class Side:
     plan: Plan
     choices: RolloutChoices
     exact: tuple[float, float] | None
+    json_keys = """
+        input=world.source robots=plan.team starts=plan.starts accessible=cells choices.loop threat_checks
+        choices.deadline plan.plan_for plan.settings exact=exact_shares
+    """
+
+    @property
+    def exact_shares(self) -> dict[str, float] | None:
+        """Exact expected coverage, a fraction of the accessible cells; None if it is not known."""
+        if self.exact is None:
+            return None
+        return {figure: self.unit(figure) * value for figure, value in zip(FIGURES[:2], self.exact, strict=True)}
+
+    @property
+    def threat_checks(self) -> str:
+        """The visits that can destroy a robot: "first_visit" or "every_visit"."""
+        return "first_visit" if self.choices.first_only else "every_visit"
 
     @cached_property
     def cells(self) -> int:
@@ -69,9 +89,16 @@ class Side:
         choices, plan = self.choices, self.plan
         return plan.ends_home(choices.deadline) if choices.loop == "open" else plan.comes_home
 
+    @property
+    def delivers(self) -> bool:
+        """Whether cells delivered are counted: in the closed loop, but not in JAX, by robots that return to base."""
+        known = self.plan.state is None or self.plan.state.delivered is not None
+        counts = self.choices.loop == "closed" and choose_engine(self.choices.engine).name != "jax"
+        return self.plan.comes_home and known and counts
+
     def unit(self, figure: str) -> float:
         """Factor of a figure: cells become fractions of the accessible cells."""
-        return 1.0 / self.cells if figure in ("visited", "survived") else 1.0
+        return 1.0 / self.cells if figure in OF_CELLS else 1.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -80,7 +107,7 @@ class Comparison(Result):
 
     Attributes:
         a, b: the sides. pairs: by figure, sums of A's (x) and B's (y).
-        ahead, behind: rollouts in which B visits a larger, a smaller fraction than A.
+        ahead, behind: rollouts in which B covers a larger, a smaller fraction than A, by the metric of the choices.
         by_threshold: sums of A's and B's figures by class of S of the larger team
             (`planner.rollouts.threshold_classes`).
         seconds: computing time of the rollouts. partial: whether it was interrupted.
@@ -101,6 +128,49 @@ class Comparison(Result):
     by_threshold: tuple[NDArray[np.int64], NDArray[np.int64]] = field(
         default_factory=lambda: (no_counts(), no_counts())
     )
+    json_keys = """
+        answer=headline a a.mean=mean_a b b.mean=mean_b differing=differing_sides rollouts seed=a.choices.seed certain
+        difference=differences exact_difference=exact_differences b_ahead b_behind seconds
+    """
+
+    @property
+    def mean_a(self) -> dict[str, float]:
+        """Means of A by figure; coverage is a fraction of the accessible cells."""
+        return self.means(self.a)
+
+    @property
+    def mean_b(self) -> dict[str, float]:
+        """Means of B by figure; coverage is a fraction of the accessible cells."""
+        return self.means(self.b)
+
+    @property
+    def differing_sides(self) -> dict[str, tuple[str, ...]]:
+        """Descriptions of A and B where they differ; empty if they are equal."""
+        return dict(zip("ab", self.differing, strict=True))
+
+    @property
+    def differences(self) -> dict[str, Difference]:
+        """B - A by figure; coverage is a fraction of the accessible cells."""
+        return {figure: self.difference(figure) for figure in self.figures}
+
+    @property
+    def exact_differences(self) -> dict[str, float | None]:
+        """B - A of expected coverage; None where it is not known exactly."""
+        return {figure: self.exact_difference(figure) for figure in FIGURES[:2]}
+
+    @property
+    def b_ahead(self) -> Estimate:
+        """Share of the rollouts in which B visits a larger fraction."""
+        return proportion(self.ahead, self.rollouts, self.certain)
+
+    @property
+    def b_behind(self) -> Estimate:
+        """Share of the rollouts in which B visits a smaller fraction."""
+        return proportion(self.behind, self.rollouts, self.certain)
+
+    def means(self, side: Side) -> dict[str, float]:
+        """The means of one side by figure."""
+        return {figure: self.mean(side, figure) for figure in self.figures_of(side)}
 
     @property
     def rollouts(self) -> int:
@@ -110,11 +180,12 @@ class Comparison(Result):
     @property
     def figures(self) -> tuple[str, ...]:
         """The figures in which both are compared."""
-        return FIGURES + OF_HOME * all(side.comes_home for side in self.sides)
+        a, b = map(self.figures_of, self.sides)
+        return tuple(figure for figure in a if figure in b)
 
     def figures_of(self, side: Side) -> tuple[str, ...]:
         """The figures of one side."""
-        return FIGURES + OF_HOME * side.comes_home
+        return FIGURES + OF_HOME * side.comes_home + DELIVERED * side.delivers
 
     @property
     def same_cells(self) -> bool:
@@ -164,7 +235,7 @@ class Comparison(Result):
 
     def exact_difference(self, figure: str) -> float | None:
         """B - A of expected "visited" or "survived" coverage, if both are known exactly."""
-        if self.a.exact is None or self.b.exact is None:
+        if self.a.exact is None or self.b.exact is None or figure not in FIGURES[:2]:
             return None
         at = FIGURES.index(figure)
         return self.b.exact[at] * self.b.unit(figure) - self.a.exact[at] * self.a.unit(figure)
@@ -237,6 +308,7 @@ def make_side(world: World, plan: Plan, choices: RolloutChoices) -> Side:
     """A side, with its exact expected coverage if that is fast to compute. Raises InputError."""
     choices = choices.timed(world.pace)
     check_deadline(plan, choices)
+    check_metric(choices, plan.settings)
     plan = knowing_deadline(world, plan, choices)
     exact = open_loop_exact(plan, world)
     if choices.loop == "open":
@@ -268,7 +340,9 @@ def compare(a: Side, b: Side, progress: ProgressCallback | None = None, kept: Al
     certain = all(is_certain(side.world, side.plan, side.choices.loop) for side in (a, b))
     if certain:
         choices = replace(choices, rollouts=1, precision=None, seconds=None)
-    answer = Comparison(a, b, {figure: Paired() for figure in FIGURES + OF_HOME}, 0, 0, 0.0, certain=certain)
+    answer = Comparison(
+        a, b, {figure: Paired() for figure in FIGURES + OF_HOME + DELIVERED}, 0, 0, 0.0, certain=certain
+    )
     most, total = (choices.rollouts, choices.rollouts) if choices.precision is None else (MOST_ROLLOUTS, 0)
     cells = max(a.cells, b.cells)
     # The precision is tested at fixed marks only, so that the result does not depend on chunk sizes.
@@ -286,7 +360,7 @@ def compare(a: Side, b: Side, progress: ProgressCallback | None = None, kept: Al
             if choices.seconds is not None and answer.seconds >= choices.seconds:
                 break
             looked_at = choices.precision is not None and answer.rollouts in marks
-            if looked_at and answer.difference("visited").estimate.half_width < choices.precision:  # type: ignore[operator]
+            if looked_at and answer.difference(choices.metric).estimate.half_width < choices.precision:  # type: ignore[operator]
                 break
     except KeyboardInterrupt:
         if answer.rollouts == 0:
@@ -299,7 +373,8 @@ def _add(so_far: Comparison, a: RolloutResults, b: RolloutResults, seconds: floa
     sides = (so_far.a, a), (so_far.b, b)
     pairs = {f: before + Paired.of(*(_figure(*side, f) for side in sides)) for f, before in so_far.pairs.items()}
     # Cross-multiplied, so that integers compare the fractions of the accessible cells exactly.
-    mine, theirs = a.visited.astype(np.int64) * so_far.b.cells, b.visited.astype(np.int64) * so_far.a.cells
+    covered = (_figure(*side, so_far.a.choices.metric).astype(np.int64) for side in sides)
+    mine, theirs = (cells * other for cells, other in zip(covered, (so_far.b.cells, so_far.a.cells), strict=True))
     ahead, behind = int((theirs > mine).sum()), int((theirs < mine).sum())
     found = replace(so_far, pairs=pairs, ahead=so_far.ahead + ahead, behind=so_far.behind + behind, seconds=seconds)
     sums = (sums_by_threshold(side, so_far.a.choices.seed, most_robots(so_far.a, so_far.b)) for side in (a, b))
@@ -334,6 +409,7 @@ SHOWN = {
     "time": ("time, steps", 1.0),
     "home": ("robots back at base", 1.0),
     "all_home": ("chance that all are back at base, %", 100.0),
+    "delivered": ("delivered, %", 100.0),
 }
 """Name and scale of each figure in the table."""
 NARROW = 0.1
@@ -348,7 +424,7 @@ def report(answer: Comparison) -> Report:
     certain = "no cell on the way of either is dangerous, so every run is the same and 1 rollout is enough"
     return Report(
         "compare", "compare", f"{' and '.join(names)}: which covers more?",
-        headline(answer), lambda: _json(answer), figures=_key_figures(answer),
+        headline(answer), partial(as_json, answer), figures=_key_figures(answer),
         heading=(f"A: {_description(a)}", f"B: {_description(b)}", *[certain] * answer.certain,
                  f"{counted(answer.rollouts, 'rollout')} on common random numbers, seed {a.choices.seed}"),
         took=[f"{rate:,.0f} rollouts a second of both"], parts=[Section("Figures", [_table(answer)], [TABLE_NOTE])],
@@ -358,19 +434,19 @@ def report(answer: Comparison) -> Report:
 
 
 def headline(answer: Comparison) -> str:
-    """The difference of expected visited coverage in one sentence, with the descriptions of A and B."""
+    """The difference of expected coverage in one sentence, with the descriptions of A and B."""
     if not any(answer.differing):
         return "A and B are equal: no difference (exact)."
     one, other = (f"{name} ({', '.join(words)})" for name, words in zip("AB", answer.differing, strict=True))
-    known, estimate = answer.exact_difference("visited"), answer.difference("visited").estimate
+    metric = answer.a.choices.metric
+    known, estimate = answer.exact_difference(metric), answer.difference(metric).estimate
     mean, (low, high) = 100 * (estimate.mean if known is None else known), (100 * end for end in estimate.ci95)
     sure = f"B - A: {low:.2f} .. {high:.2f}, confidence 0.95" if known is None else "exact"
     seen = "No difference seen: " * (known is None and low <= 0 <= high)
     ahead, behind = (share(count, answer.rollouts) for count in (answer.ahead, answer.behind))
     by = f"{abs(mean):.{2 if known is None else 3}f} points {'more' if mean > 0 else 'less'} of the accessible cells"
-    return (
-        f"{seen}{other} visits {by} than {one} on average ({sure}); B is ahead in {ahead} of runs, behind in {behind}."
-    )
+    more = f"{seen}{other} {VERBS[metric]} {by} than {one} on average ({sure})"
+    return f"{more}; B is ahead in {ahead} of runs, behind in {behind}."
 
 
 def _notes(answer: Comparison) -> list[str]:
@@ -431,7 +507,7 @@ def _coverages(answer: Comparison) -> list[tuple[str, str, float]]:
 def _key_figures(answer: Comparison) -> list[KeyFigure]:
     out = []
     for figure, name, scale in _coverages(answer):
-        known = answer.exact_difference(figure) if figure in FIGURES[:2] else None
+        known = answer.exact_difference(figure)
         estimate = (answer.difference(figure).estimate if known is None else exactly(known)).times(scale)
         interval = "exact" if estimate.half_width == 0 else between(*estimate.ci95)
         out.append(KeyFigure(f"{estimate.mean:+.2f}", f"{name}: B - A", interval))
@@ -466,43 +542,3 @@ def _mean(answer: Comparison, side: Side, figure: str, scale: float) -> str:
         return in_percent(mean, 2)
     robots = len(side.plan.robots)
     return of_all(mean, robots) if figure in ("alive", "home") else f"{scale * mean:.2f}"
-
-
-def _json(answer: Comparison) -> Json:
-    """The JSON object; coverage and its differences are fractions of the accessible cells."""
-    apart = {figure: answer.difference(figure) for figure in answer.figures}
-    return {
-        "answer": headline(answer),
-        "a": _side_json(answer, answer.a),
-        "b": _side_json(answer, answer.b),
-        "differing": dict(zip("ab", answer.differing, strict=True)),
-        "rollouts": answer.rollouts,
-        "seed": answer.a.choices.seed,
-        "certain": answer.certain,
-        "difference": {figure: found.estimate.to_json() | {"gain": found.gain} for figure, found in apart.items()},
-        "exact_difference": {figure: answer.exact_difference(figure) for figure in FIGURES[:2]},
-        "b_ahead": proportion(answer.ahead, answer.rollouts, answer.certain),
-        "b_behind": proportion(answer.behind, answer.rollouts, answer.certain),
-        "seconds": answer.seconds,
-        **json_end(answer),
-    }
-
-
-def _side_json(answer: Comparison, side: Side) -> Json:
-    plan, choices = side.plan, side.choices
-    exact = side.exact and {
-        figure: side.unit(figure) * value for figure, value in zip(FIGURES[:2], side.exact, strict=True)
-    }
-    return {
-        "input": side.world.source,
-        "robots": len(plan.robots),
-        "starts": plan.starts,
-        "accessible": side.cells,
-        "loop": choices.loop,
-        "threat_checks": "first_visit" if choices.first_only else "every_visit",
-        "deadline": choices.deadline,
-        "plan_for": plan.plan_for,
-        "settings": plan.settings,
-        "mean": {figure: answer.mean(side, figure) for figure in answer.figures_of(side)},
-        "exact": exact,
-    }

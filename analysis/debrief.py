@@ -18,15 +18,15 @@ from scipy.stats import gamma
 from analysis.inputs import plan_from_state
 from analysis.page.elements import CellLayer
 from analysis.report.model import CellMaps, KeyFigure, Report, Section
-from analysis.report.result import Result, as_json, json_end, map_text
+from analysis.report.result import Result, map_text
 from analysis.theory.exact import open_loop_exact
 from analysis.tracks import Track, Walk, read_tracks, walk
 from analysis.utils.tables import Column, json_text, table_of
 from planner.arguments import MAX_STEP, argument
 from planner.errors import InputError, UsageError
 from planner.failure_model import FailureModel
-from planner.files import Json
 from planner.formatting import counted, in_percent, percent
+from planner.json_objects import as_json
 from planner.plan.plan import Plan
 from planner.plan.state import NAT, NO_CELLS, MissionState, RobotState
 from planner.settings import Settings
@@ -76,6 +76,7 @@ class Multiplier:
 
     lost: int
     hazard: float
+    json_keys = "mean ci95=interval above_one=above"
 
     @property
     def mean(self) -> float:
@@ -92,6 +93,62 @@ class Multiplier:
     def above(self) -> float:
         """Probability that the true hazard is larger than the map's."""
         return float(gamma.sf(1.0, self.lost + 0.5, scale=1 / self.hazard))
+
+
+@dataclass(frozen=True)
+class RobotRow:
+    """A robot's flight.
+
+    Attributes:
+        robot: its name. visits: number of cells that it entered, with repetition. cells: without.
+        of_its_path: share of its planned cells that it entered; None: no plan.
+        hazard: cumulative hazard of its visits by the map, nats; None: not known.
+        survives: chance to survive them by the map. lost: whether it was lost.
+        gaps_in_time: number of gaps whose way is not known. off_the_map: share of its places off the map or on
+            obstacles.
+    """
+
+    robot: str
+    visits: int
+    cells: int
+    of_its_path: float | None
+    hazard: float | None
+    survives: float | None
+    lost: bool
+    gaps_in_time: int
+    off_the_map: float
+
+
+@dataclass(frozen=True)
+class AreaRow:
+    """An area of the plan.
+
+    Attributes:
+        area: its id. robot: to which it was assigned, or None. level: index of its threat level.
+        cells: number of cells. visited: share of them that some robot entered.
+    """
+
+    area: int
+    robot: int | None
+    level: int
+    cells: int
+    visited: float
+
+
+@dataclass(frozen=True)
+class GapRow:
+    """A connected area of cells, flown or left.
+
+    Attributes:
+        gap: its number, the largest first. cells: number of cells. area_m2: their size; None: cells have no size.
+        cell: the cell nearest to the middle, [row, col]. threat: the largest p in it.
+    """
+
+    gap: int
+    cells: int
+    area_m2: float | None
+    cell: list[int]
+    threat: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -116,6 +173,11 @@ class Debrief(Result):
     rest: Plan | None
     notes: tuple[str, ...] = ()
     partial: bool = False
+    json_keys = """
+        answer=headline input=world.source tracks coverage.accessible=cells coverage.visited=visited_share
+        coverage.survived=survived_share coverage.planned=planned_share coverage.expected=expected lost
+        hazard=multiplier.hazard hazard_multiplier=multiplier robots areas gaps=gap_rows rest=rest_ends notes?
+    """
 
     @cached_property
     def accessible(self) -> NDArray[np.bool_]:
@@ -134,11 +196,6 @@ class Debrief(Result):
         return self.accessible & _marked(self.world, [flight.survived for flight in self.flights])
 
     @cached_property
-    def planned(self) -> NDArray[np.bool_] | None:
-        """bool `[N]`: cells on the plan's paths."""
-        return None if self.plan is None else _marked(self.world, [robot.path for robot in self.plan.robots])
-
-    @cached_property
     def expected(self) -> float | None:
         """Expected share of the accessible cells that the plan visits in the open loop; None: no exact value."""
         exact = None if self.plan is None else open_loop_exact(self.plan, self.world)
@@ -149,9 +206,22 @@ class Debrief(Result):
         """Number of accessible cells."""
         return int(self.accessible.sum())
 
-    def share(self, marked: NDArray[np.bool_]) -> float:
-        """Cells as a share of the accessible ones."""
-        return float(marked.sum() / max(self.cells, 1))
+    @property
+    def visited_share(self) -> float:
+        """Share of the accessible cells that some robot entered."""
+        return float(self.visited.sum() / self.cells)
+
+    @property
+    def survived_share(self) -> float:
+        """Share of the accessible cells that some robot entered and survived."""
+        return float(self.survived.sum() / self.cells)
+
+    @property
+    def planned_share(self) -> float | None:
+        """Share of the accessible cells on the plan's paths; None: no plan."""
+        if self.plan is None:
+            return None
+        return float(_marked(self.world, [robot.path for robot in self.plan.robots]).sum() / self.cells)
 
     @cached_property
     def gaps(self) -> tuple[NDArray[np.int64], ...]:
@@ -169,6 +239,46 @@ class Debrief(Result):
         hazards = [flight.hazard for flight in self.flights if flight.hazard is not None]
         total = sum(hazards)
         return Multiplier(self.lost, total) if total > 0 and len(hazards) == len(self.flights) else None
+
+    @property
+    def robots(self) -> list[RobotRow]:
+        """The robots."""
+        rows = []
+        for number, flight in enumerate(self.flights):
+            path = None if self.plan is None else np.unique(self.plan.robots[number].path)
+            kept = None if path is None else float(np.isin(path, flight.cells).mean())
+            survives = None if flight.hazard is None else float(np.exp(-flight.hazard))
+            visits, cells = len(flight.cells), len(np.unique(flight.cells))
+            rows.append(RobotRow(flight.name, visits, cells, kept, flight.hazard, survives, flight.lost, flight.gaps,
+                                 flight.off))  # fmt: skip
+        return rows
+
+    @property
+    def areas(self) -> list[AreaRow]:
+        """The areas of the plan."""
+        return [
+            AreaRow(number, None if area.robot < 0 else area.robot, area.level, len(area.cells),
+                    float(self.visited[area.cells].mean()))
+            for number, area in enumerate(() if self.plan is None else self.plan.areas)
+        ]  # fmt: skip
+
+    @property
+    def gap_rows(self) -> list[GapRow]:
+        """The gaps."""
+        return [self.row_of(number, cells) for number, cells in enumerate(self.gaps)]
+
+    def row_of(self, number: int, cells: NDArray[np.int64]) -> GapRow:
+        """The row of connected cells."""
+        places = np.stack(np.divmod(cells, self.world.shape[1]), axis=1)
+        middle = places[np.square(places - places.mean(axis=0)).sum(axis=1).argmin()].tolist()
+        size = len(cells) * self.world.cell_size**2 if self.world.measured else None
+        threat = float(np.nan_to_num(self.world.threat.ravel()[cells]).max())
+        return GapRow(number, len(cells), size, middle, threat)
+
+    @property
+    def rest_ends(self) -> dict[str, Any] | None:
+        """Outcome of the plan of the rest without losses, and the step at which it ends; None: no such plan."""
+        return None if self.rest is None else {"outcome": self.rest.outcome, "time": self.rest.time}
 
 
 def connected(marked: NDArray[np.bool_], world: World) -> tuple[NDArray[np.int64], ...]:
@@ -315,7 +425,8 @@ NOTE = "hazard: sum of -ln(1 - p) over the visits; survives: chance of that by t
 
 def report(done: Debrief) -> Report:
     """The report of a debrief."""
-    rows, parts = _rows(done), []
+    rows: dict[str, Sequence[Any]] = {"robots": done.robots, "areas": done.areas, "gaps": done.gap_rows}
+    parts = []
     for name, (title, _) in SECTIONS.items():
         more = len(rows[name]) - SHOWN
         notes = [NOTE] * (name == "robots") + [f"{more} more on the page and in the JSON object"] * (more > 0)
@@ -329,7 +440,7 @@ def report(done: Debrief) -> Report:
     if done.world.georeference is not None:
         saved["flown.geojson"] = partial(flown_geojson, done)
     return Report(
-        "debrief", "debrief", f"{done.world.name}: what was flown?", headline(done), lambda: _json(done),
+        "debrief", "debrief", f"{done.world.name}: what was flown?", _headline(done), partial(as_json, done),
         findings=_findings(done), figures=_key_figures(done),
         heading=[f"{map_text(done.world, done.cells, len(done.flights))}, tracks {done.tracks}"],
         picture=lambda: _map(done), parts=parts, notes=done.notes, pace=done.world.pace,
@@ -337,50 +448,22 @@ def report(done: Debrief) -> Report:
     )  # fmt: skip
 
 
-def _rows(done: Debrief) -> dict[str, list[Json]]:
-    """Robots, areas of the plan, and gaps."""
-    found: dict[str, list[Json]] = {name: [] for name in SECTIONS}
-    for number, flight in enumerate(done.flights):
-        path = None if done.plan is None else np.unique(done.plan.robots[number].path)
-        found["robots"].append({
-            "robot": flight.name, "visits": len(flight.cells), "cells": len(np.unique(flight.cells)),
-            "of_its_path": None if path is None else float(np.isin(path, flight.cells).mean()),
-            "hazard": flight.hazard, "survives": None if flight.hazard is None else float(np.exp(-flight.hazard)),
-            "lost": flight.lost, "gaps_in_time": flight.gaps, "off_the_map": flight.off,
-        })  # fmt: skip
-    for number, area in enumerate(() if done.plan is None else done.plan.areas):
-        share = float(done.visited[area.cells].mean())
-        cells, robot = len(area.cells), None if area.robot < 0 else area.robot
-        found["areas"].append({"area": number, "robot": robot, "level": area.level, "cells": cells, "visited": share})
-    found["gaps"] = [{"gap": number} | _area(done, cells) for number, cells in enumerate(done.gaps)]
-    return found
-
-
-def _table(name: str, rows: list[Json]) -> Table:
+def _table(name: str, rows: Sequence[Any]) -> Table:
     def column(key: str, show: Callable[[Any], str]) -> Column:
         title = key.replace("_", " ") + ", %" * (show is in_percent)
-        return Column(title, lambda row: None if row[key] is None else show(row[key]))
+        return Column(title, lambda row: None if getattr(row, key) is None else show(getattr(row, key)))
 
-    shown = {key: show for key, show in SECTIONS[name][1].items() if any(row[key] is not None for row in rows)}
+    shown = {key: show for key, show in SECTIONS[name][1].items() if any(getattr(row, key) is not None for row in rows)}
     return table_of(map(column, shown, shown.values()), rows)
 
 
-def _area(done: Debrief, cells: NDArray[np.int64]) -> Json:
-    """Size of an area, its cell nearest to the middle, and its largest p."""
-    places = np.stack(np.divmod(cells, done.world.shape[1]), axis=1)
-    middle = places[np.square(places - places.mean(axis=0)).sum(axis=1).argmin()].tolist()
-    threat = float(np.nan_to_num(done.world.threat.ravel()[cells]).max())
-    size = len(cells) * done.world.cell_size**2 if done.world.measured else None
-    return {"cells": len(cells), "area_m2": size, "cell": middle, "threat": threat}
-
-
-def headline(done: Debrief) -> str:
+def _headline(done: Debrief) -> str:
     """Coverage as flown, against the plan, in one sentence."""
-    planned = "" if done.planned is None else f" (planned: {percent(done.share(done.planned), 2)})"
+    planned = "" if done.planned_share is None else f" (planned: {percent(done.planned_share, 2)})"
     if done.expected is not None:
         planned = f"{planned[:-1]}, expected with losses: {percent(done.expected, 2)})"
     left = f"{counted(len(done.gaps), 'gap')} of {counted(sum(map(len, done.gaps)), 'cell')} left"
-    share = percent(done.share(done.visited), 2)
+    share = percent(done.visited_share, 2)
     said = f"{counted(len(done.flights), 'robot')} visited {share} of the accessible cells{planned}"
     return f"{said}; {left if done.gaps else 'nothing left'}."
 
@@ -399,9 +482,9 @@ def _findings(done: Debrief) -> list[str]:
 
 
 def _key_figures(done: Debrief) -> list[KeyFigure]:
-    figures = [KeyFigure(percent(done.share(done.visited), 2), "visited"), KeyFigure(str(done.lost), "robots lost")]
-    if done.planned is not None:
-        figures.insert(1, KeyFigure(percent(done.share(done.planned), 2), "planned"))
+    figures = [KeyFigure(percent(done.visited_share, 2), "visited"), KeyFigure(str(done.lost), "robots lost")]
+    if done.planned_share is not None:
+        figures.insert(1, KeyFigure(percent(done.planned_share, 2), "planned"))
     if (found := done.multiplier) is not None:
         low, high = found.interval
         figures.append(KeyFigure(f"{found.mean:.2f}", "hazard met / hazard of the map", f"{low:.2f} .. {high:.2f}"))
@@ -426,32 +509,11 @@ def flown_geojson(done: Debrief) -> str:
     from analysis.exporting.mission import polygons
 
     areas = [*connected(done.visited, done.world), *done.gaps]
-    facts = [{"kind": "flown" if done.visited[cells[0]] else "left"} | _area(done, cells) for cells in areas]
+    facts = [{"kind": "flown" if done.visited[cells[0]] else "left"} | as_json(done.row_of(number, cells))
+             for number, cells in enumerate(areas)]  # fmt: skip
     features = [
-        {"type": "Feature", "properties": as_json(of), "geometry": {"type": "MultiPolygon", "coordinates": parts}}
+        {"type": "Feature", "properties": of, "geometry": {"type": "MultiPolygon", "coordinates": parts}}
         for of, parts in zip(facts, polygons(done.world, areas), strict=True)
     ]
     lines = ",\n".join(json.dumps(feature, allow_nan=False) for feature in features)
     return f'{{"type": "FeatureCollection", "features": [\n{lines}\n]}}\n'
-
-
-def _json(done: Debrief) -> Json:
-    """The JSON object; coverage in fractions of the accessible cells."""
-    found = done.multiplier
-    coverage: Json = {name: done.share(getattr(done, name)) for name in ("visited", "survived")}
-    if done.planned is not None:
-        coverage |= {"planned": done.share(done.planned), "expected": done.expected}
-    return {
-        "answer": headline(done),
-        "input": done.world.source,
-        "tracks": done.tracks,
-        "coverage": {"accessible": done.cells} | coverage,
-        "lost": done.lost,
-        "hazard": None if found is None else found.hazard,
-        "hazard_multiplier": None if found is None else {
-            "mean": found.mean, "ci95": list(found.interval), "above_one": found.above,
-        },
-        **_rows(done),
-        "rest": None if done.rest is None else {"outcome": done.rest.outcome, "time": done.rest.time},
-        **json_end(done, done.notes),
-    }  # fmt: skip

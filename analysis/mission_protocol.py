@@ -20,10 +20,10 @@ from analysis.statistics.variance_reduction import Paired, difference
 from planner.arguments import MOST_ROLLOUTS, POSITIVE, whole
 from planner.errors import InputError, UsageError
 from planner.files import Json
+from planner.json_objects import as_json
 from planner.mission.map_updates import hand_on
 from planner.mission.mission import Mission
 from planner.mission.team_control import Order
-from planner.rollouts.single_run import at_base
 from planner.rollouts.tables import AllPairs
 from planner.simulator.codes import Outcome
 from planner.tally import RolloutResults
@@ -168,12 +168,12 @@ class Outlook:
     steps: Estimate
     complete: Estimate
     home: Estimate | None = None
+    json_keys = "rollouts covered lost steps complete home?"
 
     def to_json(self) -> Json:
         """As a JSON object."""
-        figures = {name: getattr(self, name).to_json() for name in ("covered", "lost", "steps", "complete")}
-        home = {} if self.home is None else {"home": self.home.to_json()}
-        return {"rollouts": self.rollouts, **figures, **home}
+        said: Json = as_json(self)
+        return said
 
 
 @dataclass(frozen=True)
@@ -188,11 +188,12 @@ class WhatIf:
     then: Outlook
     covered: Estimate
     lost: Estimate
+    json_keys = "now then difference.covered=covered difference.lost=lost"
 
     def to_json(self) -> Json:
         """As a JSON object."""
-        difference = {"covered": self.covered.to_json(), "lost": self.lost.to_json()}
-        return {"now": self.now.to_json(), "then": self.then.to_json(), "difference": difference}
+        said: Json = as_json(self)
+        return said
 
 
 class DrivenMission(Mission):
@@ -315,7 +316,7 @@ class DrivenMission(Mission):
         fleet = self._fleet
         visited, survived = (int(np.count_nonzero(cells)) for cells in (fleet.visited, fleet.survived))
         same = {"visited": visited, "survived": survived, "time": self._past, "alive": self._alive}
-        same["home"] = int(at_base(fleet.t, fleet.raw).sum()) if fleet.loop.comes_home else 0
+        same["home"] = int(fleet.home.sum())
         # One row for each rollout, so that the comparison stays paired.
         ended = {name: np.full_like(getattr(found, name), value) for name, value in same.items()}
         return replace(found, outcome=np.full_like(found.outcome, Outcome.ENDED_BY_OPERATOR), **ended)

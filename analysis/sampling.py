@@ -17,7 +17,7 @@ from planner.errors import UsageError
 from planner.formatting import SPANS, Pace, seconds_of
 from planner.plan.plan import Plan
 from planner.rollouts.names import EngineName, check_jax
-from planner.settings import OPTIONS
+from planner.settings import METRICS, OPTIONS, Settings
 from planner.tally import RolloutResults, Tally
 from planner.world.world import World
 
@@ -48,6 +48,7 @@ class RolloutChoices:
         engine: "auto", "jax" or "numba". seed: of the rollouts.
         deadline: a step at which coverage is also reported, or None; before `timed` also a time, as "45min".
         first_only: only the first visit of a cell by any robot can destroy a robot; closed loop.
+        metric: the coverage that is compared, one of METRICS.
         exact: search for the closed loop's exact values: "auto" for EXACT_SECONDS, "never", or the seconds.
     """
 
@@ -60,8 +61,11 @@ class RolloutChoices:
     deadline: Any = None
     first_only: bool = False
     exact: Exactness = "auto"
+    metric: str = "visited"
 
     def __post_init__(self) -> None:
+        if self.metric == "delivered" and self.engine == "auto":  # JAX does not count cells delivered
+            object.__setattr__(self, "engine", "numba")
         for name in ("rollouts", "seed", "deadline"):
             object.__setattr__(self, name, as_whole(getattr(self, name)))
         self.check()
@@ -94,6 +98,11 @@ class RolloutChoices:
             whole(0, MAX_STEP + 1, text=f"{SPANS}, at most {MAX_STEP + 1} steps").check(
                 "deadline", self.deadline, optional=True
             )
+        check_word("metric", self.metric, METRICS)
+        if self.metric == "delivered" and (self.loop == "open" or self.engine == "jax"):
+            other = argument("loop", "open") if self.loop == "open" else argument("engine", "jax")
+            fix = f"use {argument('loop', 'closed')} and {argument('engine', 'numba')}"
+            raise UsageError(f"{argument('metric', 'delivered')} with {other}", fix=fix)
         if self.first_only and self.loop == "open":
             problem = f"{argument('first_only', True)} needs the closed loop"
             raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")
@@ -142,6 +151,12 @@ def check_deadline(plan: Plan, choices: RolloutChoices) -> None:
     if ends is not None and choices.deadline is not None and choices.deadline > ends:
         problem = f"{argument('deadline', choices.deadline)}, but the plan ends the mission at step {ends:,}"
         raise UsageError(problem, expected=f"a step up to {ends}", fix="leave it out, or plan anew")
+
+
+def check_metric(choices: RolloutChoices, settings: Settings | None) -> None:
+    """Raise UsageError for cells delivered by robots that have no base."""
+    if choices.metric == "delivered" and (settings is None or settings.return_to is None):
+        raise UsageError(f"{argument('metric', 'delivered')} for robots without a base", fix="give return_to (home)")
 
 
 def knowing_deadline(world: World, plan: Plan, choices: RolloutChoices, *, nominal: bool = True) -> Plan:

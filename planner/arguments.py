@@ -23,10 +23,6 @@ MAX_PLAN_BYTES = 2**26
 """Limit of a plan or state file: 64 MiB, about 6 million path entries. Reading it takes about 16 times the memory."""
 BLOCK = 4096
 """Rollout ids of an aligned block, the unit of storage, of resuming and of stopping rules."""
-LEAST_SHAPE, MOST_SHAPE = 0.25, 16.0
-"""Limits of the Weibull shape of the failure threshold (`planner.failure_model`)."""
-LEAST_SUSCEPTIBILITY, MOST_SUSCEPTIBILITY = 1 / 64, 64.0
-"""Limits of the factor of the exposure of a robot."""
 
 EngineName = Literal["auto", "jax", "numba"]
 ENGINES: tuple[EngineName, ...] = get_args(EngineName)

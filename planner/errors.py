@@ -85,6 +85,7 @@ RENAMED = {
     "worth": "robot_value", "reserve": "risk_cap", "worths": "robot_values", "reserves": "risk_caps",
     "wear": "weibull_shape", "susceptibility": "hazard_multiplier", "sense": "sensor_range", "prior": "prior_map",
     "truth": "true_map", "movers": "moving_threats", "hazard": "latent_hazard", "uncertain": "map_uncertainty",
+    "meaning": "metric",
 }  # fmt: skip
 """Settings, arguments, options (`--robot-value`) and keys of files: old to new."""
 LOOPS = {"closed": "closed_loop", "open": "open_loop"}

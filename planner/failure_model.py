@@ -223,11 +223,7 @@ class FailureModel:
         """
         if not self.is_plain:
             problem = f"{what} requires the same p for all visits and robots; here: {self.description}"
-            named = (
-                ("weibull_shape", "hazard_multiplier")
-                if self.types is None
-                else ("weibull_shape", "hazard_multiplier", "types")
-            )
+            named = ("weibull_shape", "hazard_multiplier", "types")[: 2 if self.types is None else 3]
             raise UsageError(problem, fix=f"leave {' and '.join(map(argument, named))} out")
 
     def times(self, robots: int) -> NDArray[np.int64]:
@@ -274,10 +270,8 @@ class FailureModel:
         drawn, begun = tolerances(seed, rollouts, robots), self.exp1_begun(robots)
         if self.is_even:
             return drawn
-        ones = [
-            susceptible(worn(drawn[:, one] + begun[one], self.shape), times / SCALE)
-            for one, times in enumerate(self.times(robots).tolist())
-        ]
+        borne = worn(drawn + begun, self.shape)
+        ones = [susceptible(borne[:, one], times / SCALE) for one, times in enumerate(self.times(robots).tolist())]
         return np.stack(ones, axis=1) - np.array(self.begun[:robots] or [0] * robots)
 
     def survival(self, exposure: NDArray[np.float64], robot: int) -> NDArray[np.float64]:

@@ -151,7 +151,7 @@ def library_errors(problem: str, source: object = "", expected: str = "") -> Ite
     try:
         with warnings.catch_warnings(action="ignore"):
             yield
-    except MapError:
+    except InputError:
         raise
     except Exception as error:
         said = " ".join(str(error).split())[:160] or type(error).__name__

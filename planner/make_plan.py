@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,16 +12,17 @@ from planner.arguments import argument
 from planner.errors import PlanError, StateError
 from planner.mrac.areas import allocate_areas_to_robots, connected_parts, find_areas, metis_parts
 from planner.mrac.problem import Problem, prepare
-from planner.plan.plan import Area, Plan, RobotPlan, last_move
+from planner.plan.plan import Area, Leg, Plan, RobotPlan, last_move
 from planner.plan.reading import check_partition
 from planner.plan.state import NAT, ON_ITS_WAY, RETURNING, AreaState, MissionState, RobotState
-from planner.rollouts.closed_loop import compile_closed_loop, nominal_loop
+from planner.rollouts.closed_loop import compile_closed_loop, nominal_loop, with_run
 from planner.rollouts.runners import Runner
-from planner.rollouts.single_run import Run, SingleRun, play, play_compiled
+from planner.rollouts.single_run import SingleRun, play_compiled
 from planner.settings import Settings
 from planner.simulator.codes import NO_ROBOT
 from planner.simulator.searches import NOT_WANTED, UNREACHED
 from planner.simulator.thresholds import MOST
+from planner.tally import Trace
 from planner.world.levels import NO_LEVEL
 from planner.world.planned_map import as_planned
 from planner.world.world import World
@@ -75,25 +77,28 @@ def allocated(
     return problem, Plan(world.shape, world.sha256, problem.settings, robots, areas, state=state, source=world.source)
 
 
-def nominal_run(problem: Problem, plan: Plan) -> Run:
+def nominal_run(problem: Problem, plan: Plan) -> tuple[Trace, tuple[tuple[Leg, ...], ...], tuple[Area, ...]]:
     """Algorithm 2 without losses, from the areas of the plan or from its state; phases change the map.
 
     Args:
         problem: of the plan.
         plan: with areas.
 
+    Returns:
+        (trace, legs of each robot, areas made).
+
     Raises:
         WorldError: legs stay in areas (`transit="area"`) which change during the run.
     """
     if problem.unknown is not None and problem.unknown.phases is not None and problem.stay_inside:
         problem.world.require_known_map('`transit="area"`, legs that stay in their area,')
-    loop = compile_closed_loop(plan, problem.world, problem=problem, interpreted=True)
-    loop = nominal_loop(loop)
+    loop = nominal_loop(compile_closed_loop(plan, problem.world, problem=problem, interpreted=True))
     built_in = loop.in_area is None and (loop.policy is None or loop.policy.key is None)
     cells = len(loop.cells)
     if built_in and not loop.learns and (cells >= LARGE or Runner(loop, 0, 1).is_compiled(cached=cells >= MEDIUM)):
         return play_compiled(loop)
-    return play(SingleRun(loop))
+    run = SingleRun(loop).play()
+    return run.trace, run.legs, tuple(run.notes.made)
 
 
 def make_plan(
@@ -125,15 +130,8 @@ def make_plan(
     if settings is not None and settings.plan_for != "closed_loop":
         raise PlanError(f"plan_for is {settings.plan_for} in a plan with areas", expected="closed_loop")
     problem, plan = allocated(world, starts, settings or Settings(), state, allocation=allocation)
-    run = nominal_run(problem, plan)
-    return replace(
-        plan,
-        robots=tuple(RobotPlan(path, legs) for path, legs in zip(run.paths, run.legs, strict=True)),
-        areas_added=run.areas_added,
-        outcome=run.outcome.by_deadline(problem.settings.ends_by_deadline).word,
-        time=run.time,
-        shares=run.shares,
-    )
+    trace, legs, made = nominal_run(problem, plan)
+    return replace(with_run(plan, trace, legs), areas_added=made)
 
 
 def confirm_plan(plan: Plan, world: World, source: str) -> Plan:
@@ -172,24 +170,23 @@ def _check_allocation(problem: Problem, allocation: tuple[Area, ...]) -> None:
     check_partition(allocation, as_planned(world, starts), starts, PlanError, world.source)
     owners: set[int] = set()
     for number, area in enumerate(allocation):
-        problem_with = _what_is_wrong(problem, area, owners)
-        if problem_with:
-            raise PlanError(f"area {number} {problem_with[0]}", source=problem.world.source, expected=problem_with[1])
+        for fault, expected in _faults_of(problem, area, owners):
+            raise PlanError(f"area {number} {fault}", source=world.source, expected=expected)
         owners.add(area.robot)
 
 
-def _what_is_wrong(problem: Problem, area: Area, owners: set[int]) -> tuple[str, str] | None:
-    """(problem, expectation) of an area of an allocation, or None; `owners`: robots of earlier areas."""
+def _faults_of(problem: Problem, area: Area, owners: set[int]) -> Iterator[tuple[str, str]]:
+    """Faults of an area of an allocation, with the expectation; `owners`: robots of earlier areas."""
     if (problem.levels.of_cell[area.cells] != area.level).any():
-        return f"has level {area.level}", "the level of all its cells in this world"
+        yield f"has level {area.level}", "the level of all its cells in this world"
     if len(connected_parts(problem.world.shape, area.cells)) != 1:
-        return "is not connected", "4-connected cells"
-    if area.robot != NO_ROBOT:
-        if not 0 <= area.robot < len(problem.starts) or area.robot in owners:
-            return f"is given to robot {area.robot}", "a robot of the team that has no other area"
-        if problem.paths.to_all(int(problem.starts[area.robot]))[area.cells[0]] == UNREACHED:
-            return f"cannot be reached by its robot {area.robot}", "an area in its robot's part of the map"
-    return None
+        yield "is not connected", "4-connected cells"
+    if area.robot == NO_ROBOT:
+        return
+    if not 0 <= area.robot < len(problem.starts) or area.robot in owners:
+        yield f"is given to robot {area.robot}", "a robot of the team that has no other area"
+    if problem.paths.to_all(int(problem.starts[area.robot]))[area.cells[0]] == UNREACHED:
+        yield f"cannot be reached by its robot {area.robot}", "an area in its robot's part of the map"
 
 
 # States prepared for resuming (SPEC section 12).
@@ -205,8 +202,7 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
     Raises:
         StateError: it does not fit the settings.
     """
-    problem.settings.require_no_recharge("the state of a mission")
-    problem.settings.require_uniform("the state of a mission")
+    problem.settings.require_uniform("the state of a mission", "recharge", "deliver_every")
     if state.step >= problem.max_steps:
         raise StateError(f"the state is of step {state.step}", expected=f"a step before the last, {problem.max_steps}")
     left = problem.range - [robot.moves for robot in state.robots]
@@ -228,13 +224,8 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
         if (problem.levels.of_cell[area.cells] != area.level).any():
             expected = "the level of all its cells in this plan"
             raise StateError(f"area {number} has level {area.level}", expected=expected, fix=_settings_asked("levels"))
-    robots = (
-        _sent(problem, robot, robot.area, state.areas[robot.area], state.visited)
-        if robot.status in ON_ITS_WAY and not len(robot.ahead)
-        else robot
-        for robot in state.robots
-    )
-    state = replace(state, robots=tuple(robots))
+    at_rest = {number for number, r in enumerate(state.robots) if r.status in ON_ITS_WAY and not len(r.ahead)}
+    state = _sent(problem, state, {number: state.robots[number].area for number in at_rest})
     for number, robot in enumerate(state.robots):
         if robot.status in ON_ITS_WAY and not _leads_on(robot, state.areas[robot.area], problem.rule.replanning):
             expected = "a path that ends in its area, and the cells it still has to cover on it"
@@ -256,15 +247,12 @@ def _check_exposures(problem: Problem, state: MissionState) -> None:
     borne = failure_model.exp1_begun(len(state.robots))
     for number, robot in enumerate(state.robots):
         if robot.alive and robot.exposure is None:
-            raise StateError(
-                f"robot {number} has no exposure (Weibull shape {problem.settings.weibull_shape:g})",
-                expected='"exposure": cumulative hazard of each robot, in nat: the sum of -ln(1 - p) over its visits',
-            )
+            fault = f"robot {number} has no exposure (Weibull shape {problem.settings.weibull_shape:g})"
+            expected = '"exposure": cumulative hazard of each robot, in nat: the sum of -ln(1 - p) over its visits'
+            raise StateError(fault, expected=expected)
         if robot.alive and borne[number] > MOST:
-            raise StateError(
-                f"robot {number} has an exposure of {state.exposures[number] / NAT:g} nat",
-                expected="no more than any failure threshold",
-            )
+            fault = f"robot {number} has an exposure of {state.exposures[number] / NAT:g} nat"
+            raise StateError(fault, expected="no more than any failure threshold")
 
 
 def _leads_on(robot: RobotState, area: AreaState, replanning: bool) -> bool:
@@ -284,31 +272,28 @@ def _allocated(problem: Problem, state: MissionState, able: list[int]) -> Missio
 
     starts, density = problem.starts[able], problem.settings.density
     given = allocate_areas_to_robots(parts(~seen), starts, shape, [problem.paths] * len(starts), density, metis_parts)
+    owner = {able[area.robot]: number for number, area in enumerate(given) if area.robot != NO_ROBOT}
+    robot_of = {number: robot for robot, number in owner.items()}
     areas = [
-        AreaState(a.level, able[a.robot], "assigned", a.cells)
-        if a.robot != NO_ROBOT
-        else AreaState(a.level, NO_ROBOT, "unassigned", a.cells)
-        for a in given
+        AreaState(a.level, robot_of.get(number, NO_ROBOT), "assigned" if number in robot_of else "unassigned", a.cells)
+        for number, a in enumerate(given)
     ]
-    owner = {area.robot: number for number, area in enumerate(areas) if area.robot != NO_ROBOT}
     done = [AreaState(level, NO_ROBOT, "completed", cells) for level, cells in parts(seen)]
-    robots = tuple(
-        _sent(problem, robot, owner[number], areas[owner[number]], state.visited)
-        if number in owner
-        else replace(robot, status="idle" if number in able else robot.status)
-        for number, robot in enumerate(state.robots)
-    )
-    return replace(state, robots=robots, areas=(*areas, *done), quiet=0)
+    robots = (replace(r, status="idle") if number in able else r for number, r in enumerate(state.robots))
+    return _sent(problem, replace(state, robots=tuple(robots), areas=(*areas, *done), quiet=0), owner)
 
 
-def _sent(problem: Problem, robot: RobotState, number: int, area: AreaState, visited: NDArray[np.int64]) -> RobotState:
-    """The robot on the path to its area's cells to do."""
-    rank = np.full(problem.costs.size, NOT_WANTED, dtype=np.int32)
-    rank[np.setdiff1d(area.cells, visited)] = 0
-    target = problem.paths.nearest(robot.cell, rank)
-    assert target is not None  # Algorithm 1 only assigns reachable areas
-    ahead = problem.paths.path(robot.cell, target.cell)
-    return replace(robot, status="traveling", area=number, ahead=ahead, held=False)
+def _sent(problem: Problem, state: MissionState, owner: dict[int, int]) -> MissionState:
+    """The state with robots on the paths to the cells to do in their areas: robot -> area."""
+    robots = list(state.robots)
+    for robot, number in owner.items():
+        rank = np.full(problem.costs.size, NOT_WANTED, dtype=np.int32)
+        rank[np.setdiff1d(state.areas[number].cells, state.visited)] = 0
+        target = problem.paths.nearest(robots[robot].cell, rank)
+        assert target is not None  # Algorithm 1 only assigns reachable areas
+        ahead = problem.paths.path(robots[robot].cell, target.cell)
+        robots[robot] = replace(robots[robot], status="traveling", area=number, ahead=ahead, held=False)
+    return replace(state, robots=tuple(robots))
 
 
 def areas_of(state: MissionState) -> tuple[Area, ...]:

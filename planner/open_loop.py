@@ -16,6 +16,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -323,25 +324,16 @@ def make_open_loop_plan(world: World, starts: ArrayLike, settings: Settings, sec
     """
     closed = replace(settings, plan_for="closed_loop", effort=None)
     world.require_known_map("a plan for the open loop")
-    settings.require_no_return("a plan for the open loop")
-    settings.require_uniform("a plan for the open loop")
+    settings.require_uniform("a plan for the open loop", "return_to")
     nominal = make_plan(world, starts, closed)
     problem = prepare(world, starts, closed)
     nodes = make_nodes(world, problem.levels.accessible.reshape(world.shape))
     begin = nodes.of_cell[problem.starts]
     alone = _alone(world, problem.starts, closed)
     none = np.empty(0, dtype=np.int64)
-    orders = [
-        tuple(nodes.order_of(path, none) for path in alone),
-        tuple(
-            nodes.order_of(path, nodes.order_of(robot.path, none))
-            for path, robot in zip(alone, nominal.robots, strict=True)
-        ),
-    ]
-    worth = [
-        team_cells(nodes, np.array([chances(nodes, *one) for one in zip(of, begin.tolist(), strict=True)]))
-        for of in orders
-    ]
+    first = [nodes.order_of(robot.path, none) for robot in nominal.robots]
+    orders = [tuple(map(nodes.order_of, alone, before)) for before in ([none] * len(alone), first)]
+    worth = [team_cells(nodes, np.array([*map(partial(chances, nodes), of, begin.tolist())])) for of in orders]
     effort = EFFORT if settings.effort is None else settings.effort
     found, done = search(nodes, orders[int(np.argmax(worth))], begin, effort, SEED, seconds)
     last = MAX_STEP if settings.last_step is None else settings.last_step

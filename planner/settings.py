@@ -12,12 +12,8 @@ from planner.arguments import (
     ANY,
     COMMAND_LINE,
     ENGINES,
-    LEAST_SHAPE,
-    LEAST_SUSCEPTIBILITY,
     MAX_STEP,
     MOST_ROLLOUTS,
-    MOST_SHAPE,
-    MOST_SUSCEPTIBILITY,
     POSITIVE,
     SEED,
     Numbers,
@@ -45,7 +41,7 @@ POLICY = ("policy", "risk_cap", "robot_value", "priority")
 """A policy and its limits."""
 BEARING = ("weibull_shape", "hazard_multiplier")
 """Settings of the failure model. No decision depends on them."""
-KEPT = ("range", "deadline", "return_to", "recharge", "steps_per_move", "radio")
+KEPT = ("range", "deadline", "return_to", "deliver_every", "recharge", "steps_per_move", "radio")
 """Limits of the robots under every policy."""
 GROUPS = {"policy": POLICY, "plan_for": ("plan_for", "effort")}
 """Settings with dependent ones: a new choice of the first discards the input's values of the others."""
@@ -172,6 +168,7 @@ class Settings:
         hazard_multiplier: factor of the exposure, one number for all or one a robot. No decision depends on these two.
         return_to: bases that robots return to (SPEC section 19): "home", their own starts; "nearest", the nearest
             start; or cells, a tuple of (row, col); None = robots stay at their last cell.
+        deliver_every: cells carried with which a robot returns to a base and goes on; None = only at the end.
         recharge: steps at a base that restore the range of a robot; None = never restored.
         types: robot types (SPEC section 22), one for all or one a robot, named in the world's matrix; None = the map's
             p applies to every robot.
@@ -239,15 +236,19 @@ class Settings:
     )  # fmt: skip
     weibull_shape: float = _setting(
         1.0, "Weibull shape", "Weibull shape of the failure threshold; above 1: risk grows with exposure (default: 1).",
-        Numbers(LEAST_SHAPE, MOST_SHAPE), later=True,
+        Numbers(0.25, 16.0), later=True,
     )  # fmt: skip
     hazard_multiplier: float | tuple[float, ...] = _setting(
         1.0, "hazard multiplier", "Factor on the hazard of every visit: one number, or one per robot (default: 1).",
-        Numbers(LEAST_SUSCEPTIBILITY, MOST_SUSCEPTIBILITY), each=True, later=True,
+        Numbers(1 / 64, 64.0), each=True, later=True,
     )  # fmt: skip
     return_to: str | tuple[tuple[int, int], ...] | None = _setting(
         None, "return to", 'Return to: home (the own start), nearest (any start) or bases "row,col;row,col;...".',
         words=("home", "nearest"), unset="nowhere", places=True, later=True, rare=False,
+    )  # fmt: skip
+    deliver_every: int | None = _setting(
+        None, "deliver every", "Return to the base, and go on, with this many cells to deliver (default: never).",
+        whole(1, MAX_STEP), unset="never", later=True,
     )  # fmt: skip
     recharge: int | None = _setting(
         None, "recharge", "Steps at a base that restore the range, with --range and --return-to (default: never).",
@@ -313,11 +314,6 @@ class Settings:
         for name in (name for name, setting in SETTINGS.items() if setting.each and not setting.found):
             check_each(name, getattr(self, name), robots, source)
 
-    def require_no_return(self, what: str) -> None:
-        """Raise PlanError for robots that return to a base, which `what` does not support."""
-        if self.return_to is not None:
-            raise PlanError(f"{what} with {argument('return_to')}", fix=f"leave {argument('return_to')} out")
-
     @property
     def paces(self) -> tuple[int, ...]:
         """Steps a move of each robot, without a common factor; none where all have one speed."""
@@ -325,20 +321,17 @@ class Settings:
         reduced = tuple(steps // math.gcd(*given) for steps in given)
         return reduced if len(set(reduced)) > 1 else ()
 
-    def require_uniform(self, what: str) -> None:
-        """Raise PlanError for robots that differ, or have a limited radio range, which `what` does not support."""
-        differ = (
-            ("types", self.types is not None),
-            ("steps_per_move", bool(self.paces)),
-            ("radio", self.radio is not None),
-        )
-        for name in (name for name, given in differ if given):
-            raise PlanError(f"{what} with {argument(name)}", fix=f"leave {argument(name)} out")
+    def require_uniform(self, what: str, *others: str) -> None:
+        """Raise PlanError for robots that differ or have a limited radio range, which `what` does not support.
 
-    def require_no_recharge(self, what: str) -> None:
-        """Raise PlanError for robots that recharge at their bases, which `what` does not support."""
-        if self.recharge is not None:
-            raise PlanError(f"{what} with {argument('recharge')}", fix=f"leave {argument('recharge')} out")
+        Args:
+            what: subject of the message.
+            others: further settings that it does not support.
+        """
+        differ = {"steps_per_move": bool(self.paces)}
+        for name in (*others, "types", "steps_per_move", "radio"):
+            if differ.get(name, getattr(self, name) is not None):
+                raise PlanError(f"{what} with {argument(name)}", fix=f"leave {argument(name)} out")
 
     def check(self, source: str = "") -> None:
         """Raise PlanError, naming `source`, for unknown words, values out of range, limits without their policy.
@@ -382,6 +375,9 @@ class Settings:
             problem = f"{message('effort', str(self.effort))} with {called('plan_for')} {self.plan_for}"
             expected, fix = f"{called('plan_for')} open_loop", f"leave {called('effort')} out"
             raise PlanError(problem, source=source, expected=expected, fix=fix)
+        if self.deliver_every is not None and self.return_to is None:
+            problem = f"{message('deliver_every', str(self.deliver_every))} without {called('return_to')}"
+            raise PlanError(problem, source=source, fix=f"give it, or leave {called('deliver_every')} out")
         if self.recharge is not None and None in (self.range, self.return_to):
             problem = f"{message('recharge', str(self.recharge))} without {called('range')} and {called('return_to')}"
             raise PlanError(problem, source=source, fix=f"give both, or leave {called('recharge')} out")
@@ -418,6 +414,7 @@ def _defaults() -> dict[str, Any]:
 
 SETTINGS: dict[str, Setting] = {item.name: item.metadata["setting"] for item in fields(Settings) if item.metadata}
 LOOP_WORDS = ("closed", "open")
+METRICS = ("visited", "survived", "delivered")
 TEAM, GOAL, ROLLOUTS, SURVEY, TIMELINE, OUTPUT = "Team", "Goal", "Rollouts", "Many maps", "Timeline", "Output"
 """Groups of options, in addition to "Planning"."""
 
@@ -458,6 +455,8 @@ OPTIONS: dict[str, Setting] = SETTINGS | dict([
     _option(ROLLOUTS, "seconds", "Stop after this many seconds of rollouts (default: 10; none with --rollouts or "
             "--precision).", numbers=POSITIVE, rare=True),
     _option(GOAL, "target", "Fraction of the accessible cells to cover, above 0, at most 1."),
+    _option(GOAL, "metric", "Cells that count: visited (default), survived (left alive) or delivered (brought to a "
+            "base, with --return-to).", words=METRICS, default="visited"),
     _option(SURVEY, "processes", "Number of processes; results do not depend on it (default: one per core).",
             numbers=whole(1)),
     _option(SURVEY, "scheduler", "A dask.distributed scheduler, tls://host:8786 or tcp://host:8786.", "text"),

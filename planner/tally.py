@@ -69,6 +69,7 @@ OPTIONAL = {
     "bisected": np.int32,
     "divided": np.int32,
     "home": np.int32,
+    "delivered": np.int32,
     "worth_covered": np.int64,
     "worth_found": np.int64,
 }
@@ -93,6 +94,7 @@ class RolloutResults:
         bisected, divided: int32 `[B]`, shared areas whose unvisited cells were one component and had to be bisected,
             and those that had several components already (SPEC section 5). Missing: zeros, as in the open loop.
         home: int32 `[B]`, robots alive at a base at the end (SPEC section 19). Missing: zeros.
+        delivered: int32 `[B]`, cells delivered (SPEC section 19). Missing: zeros, as from JAX.
         worth_covered, worth_found: int64 `[B]`, values of cells visited, and found (`ClosedLoop.weighing`). Missing:
             zeros.
     """
@@ -106,6 +108,7 @@ class RolloutResults:
     bisected: NDArray[np.int32] = field(default_factory=_no_column)
     divided: NDArray[np.int32] = field(default_factory=_no_column)
     home: NDArray[np.int32] = field(default_factory=_no_column)
+    delivered: NDArray[np.int32] = field(default_factory=_no_column)
     worth_covered: NDArray = field(default_factory=_no_column)
     worth_found: NDArray = field(default_factory=_no_column)
 
@@ -137,6 +140,7 @@ ByCell = Annotated[NDArray[np.int64], "cell"]
 ByPasses = Annotated[NDArray[np.int64], "cell and survived visits"]
 ByThreshold = Annotated[NDArray[np.int64], "class of the threshold sum and figure"]
 ByHome = Annotated[NDArray[np.int64], "robots at home"]
+ByDelivered = Annotated[NDArray[np.int64], "cells delivered"]
 """Counts int64 `[accessible + 1]`, `[T + 1]`, `[K + 1]`, `[len(Outcome)]`, `[N]`, `[N * P]` (P per cell), and sums.
 
 A field of `Tally` with such a type is a count: adding, comparing, stores and recordings follow from its declaration.
@@ -167,6 +171,7 @@ class Tally:
         by_threshold: sums of figures by class of the team's total failure threshold
             (`planner.rollouts.threshold_classes`).
         home: rollouts by robots alive at a base at the end; empty if robots do not return.
+        delivered: rollouts by cells delivered (SPEC section 19); empty if these are not counted.
     """
 
     key: str
@@ -186,6 +191,7 @@ class Tally:
     passes: ByPasses = field(default_factory=no_counts)
     by_threshold: ByThreshold = field(default_factory=no_counts)
     home: ByHome = field(default_factory=no_counts)
+    delivered: ByDelivered = field(default_factory=no_counts)
 
     @classmethod
     def empty(cls, key: str, shape: tuple[int, int], robots: int, accessible: int, last_step: int = 0) -> Self:
@@ -237,6 +243,8 @@ class Tally:
         if self.robots != other.robots or self.accessible != other.accessible:
             raise TallyError("tallies of different teams or maps cannot be added")
         added: dict[str, Any] = {name: add_padded(getattr(self, name), getattr(other, name)) for name in self.axes()}
+        if self.ids and other.ids and not (len(self.delivered) and len(other.delivered)):
+            added["delivered"] = no_counts()  # not counted in all of these rollouts
         return replace(self, ids=_merge_ids(self.ids, other.ids), **added)
 
     def __eq__(self, other: object) -> bool:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 import yaml
+from helpers import delivered
 from numpy.typing import NDArray
 from oracle_enumeration import Threat
 
@@ -20,7 +21,6 @@ from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.exact_tree import WHOLE, grow_tree
 from planner.rollouts.single_run import SingleRun
-from planner.rollouts.single_run import play as played
 from planner.settings import Settings
 from planner.simulator.codes import Outcome
 from planner.world.generate import PAPER_LEVELS, ThreatPattern, random_world
@@ -57,12 +57,13 @@ Play = Callable[[Callable[[int, int, int], bool]], np.ndarray]
 
 
 def closed_loop(plan: Plan, world: World) -> Play:
-    """Cells visited, survived, robots alive at the end, of a closed loop played by the simulator as Python."""
+    """Cells visited, survived, robots alive, cells delivered, of a closed loop played by the simulator as Python."""
     loop = compile_closed_loop(plan, world, interpreted=True)
 
     def play(hit: Callable[[int, int, int], bool]) -> np.ndarray:
-        run = played(SingleRun(loop, hit=hit))
-        return np.array([run.visited.sum(), run.survived.sum(), run.alive.sum()], dtype=float)
+        run = SingleRun(loop, hit=hit).play()
+        brought = len(delivered(run.trace, plan.bases))
+        return np.array([run.visited.sum(), run.survived.sum(), run.alive.sum(), brought], dtype=float)
 
     return play
 
@@ -71,7 +72,7 @@ def open_loop(plan: Plan, world: World) -> Play:
     """The same of an open loop: robots in index order, step by step, each along its path until it is stopped."""
 
     def play(hit: Callable[[int, int, int], bool]) -> np.ndarray:
-        visited, survived, alive = set(), set(), set(range(len(plan.robots)))
+        visited, survived, alive, brought = set(), set(), set(range(len(plan.robots))), set()
         for step in range(plan.makespan + 1):
             for robot, path in enumerate(one.path for one in plan.robots):
                 if robot in alive and step < len(path) and (step == 0 or path[step] != path[step - 1]):
@@ -81,7 +82,9 @@ def open_loop(plan: Plan, world: World) -> Play:
                         alive.remove(robot)
                     else:
                         survived.add(cell)
-        return np.array([len(visited), len(survived), len(alive)], dtype=float)
+                        if plan.bases and cell in plan.bases[robot]:
+                            brought |= set(path[: step + 1].tolist())
+        return np.array([len(visited), len(survived), len(alive), len(brought)], dtype=float)
 
     return play
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from analysis.cli import app
 from analysis.statistics.variance_reduction import LEAST
 from planner.failure_model import key_of
-from planner.plan.plan import Plan
+from planner.plan.plan import Plan, last_move
 from planner.plan.plan_file import parse_plan, read_plan_json
 from planner.rollout_sampling import Luck
 from planner.rollouts import engine as engines
@@ -27,8 +27,9 @@ from planner.rollouts.engine import Chunk, Engine, closed_loop_engine, open_loop
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.names import EngineName
 from planner.rollouts.open_loop import CompiledPlan
-from planner.rollouts.single_run import PythonLoop, Run, SingleRun, play
+from planner.rollouts.single_run import PythonLoop, SingleRun
 from planner.rollouts.threshold_classes import sums_by_threshold
+from planner.simulator.codes import Doing
 from planner.simulator.thresholds import threefry2x32
 from planner.tally import RolloutResults, Tally, Trace
 from planner.world.world import World
@@ -131,6 +132,11 @@ def part(tally: Tally, results: RolloutResults, begin: int, end: int, seed: int 
     return replace(tally, ids=((own.start, own.start + end - begin),), **counts)
 
 
+def paths_of(run: SingleRun) -> list[np.ndarray]:
+    """The cells of each robot up to its last move."""
+    return [path[: last_move(path) + 1] for path in run.trace.cells.T]
+
+
 # The plan in a file, for a world, before its nominal run is compared.
 
 
@@ -150,7 +156,7 @@ def play_both_ways(
     *,
     first_only: bool = False,
     tabled: Sequence[bool | None] = (True, False),
-) -> list[Run]:
+) -> list[SingleRun]:
     """Rollouts from 0 on, of the simulator as Python. The compiled one's are the same, event for event, and its counts.
 
     So is the last of them where `Luck`, which is written apart, says visit by visit who is lost. `tabled`: with tables
@@ -159,7 +165,7 @@ def play_both_ways(
     python = PythonLoop(plan, world, first_only=first_only)
     runs = [python.run(seed, rollout) for rollout in range(rollouts)]
     luck = Luck(world, seed, rollouts - 1, plan.failure_model)
-    assert_same_trace(play(SingleRun(python.loop, seed, rollouts - 1, hit=luck.hits)).trace, runs[-1].trace, "told")
+    assert_same_trace(SingleRun(python.loop, seed, rollouts - 1, hit=luck.hits).play().trace, runs[-1].trace, "told")
     for with_tables in tabled:
         loop = compile_closed_loop(plan, world, first_only=first_only, tabled=with_tables)
         if loop.tabled != with_tables and len(tabled) > 1:
@@ -168,15 +174,27 @@ def play_both_ways(
             assert_same_trace(mine, run.trace, world.source)
         tally, singles = run_range(loop, seed, 0, rollouts, threads=1, singles=True)
         assert singles is not None
-        for name in ("time", "outcome", "bisected", "divided"):
-            assert getattr(singles, name).tolist() == [getattr(run, name) for run in runs], (world.source, name)
+        columns = np.transpose([(run.step, run.outcome, *run.raw.marks[["bisected", "divided"]]) for run in runs])
+        for name, column in zip(("time", "outcome", "bisected", "divided"), columns.tolist(), strict=True):
+            assert getattr(singles, name).tolist() == column, (world.source, name)
         for name in ("visited", "survived", "alive", "home")[: None if loop.comes_home else 3]:
             assert getattr(singles, name).tolist() == [getattr(run, name).sum() for run in runs], (world.source, name)
         for name in ("visited", "survived"):
             counts = np.sum([getattr(run, name) for run in runs], axis=0)
             np.testing.assert_array_equal(getattr(tally, f"covered_{name}").ravel(), counts, f"{world.source}: {name}")
+        if loop.comes_home and plan.state is None:
+            assert singles.delivered.tolist() == [len(delivered(run.trace, plan.bases)) for run in runs], world.source
         assert tally.stops.sum() == sum(int((~run.alive).sum()) for run in runs)
     return runs
+
+
+def delivered(trace: Trace, bases: Sequence[set[int]], last: int | None = None) -> set[int]:
+    """The cells that a robot visited and brought to one of its bases, by the end of step `last`."""
+    found = set[int]()
+    for cells, doing, own in zip(trace.cells[:last].T.tolist(), trace.doing[:last].T, bases, strict=bool(bases)):
+        at_base = [step for step, cell in enumerate(cells) if cell in own and doing[step] != Doing.DEAD]
+        found |= set(cells[: max(at_base, default=-1) + 1])
+    return found
 
 
 def assert_same_tally(mine: Tally, other: Tally, what: str = "") -> None:

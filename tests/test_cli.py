@@ -324,7 +324,9 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("size WORLD --target 0.9 --confidence 0", "--confidence 0"),
         ("size WORLD --target 0.9 --most 0", "--most 0"),
         ("size WORLD --target 0.9 --most 1025", "1 to 1024"),
-        ("size WORLD --target 0.9 --meaning seen", "visited or survived"),
+        ("size WORLD --target 0.9 --metric seen", "visited or survived or delivered"),
+        ("front WORLD --metric delivered", "without a base"),
+        ("front WORLD --metric delivered --engine jax", "--engine numba"),
         ("size WORLD --target 0.9 --plan plan.json", "--plan"),
         ("size WORLD --target 0.9 --robots 3", "--robots"),
         ("generate world.txt", ".npz"),
@@ -378,7 +380,7 @@ def test_threats_on_a_map_keep_its_value_and_refuse_what_they_contradict(
     np.save("t.npy", threat + 0.1)
     World.create(threat + 0.05).save("v.npz", force=True)
     for keys, named in (
-        ("latent_hazard: {kind: consumed, h: 0.5}", "leave `latent_hazard` and `map_uncertainty` out"),
+        ("latent_hazard: {kind: consumed, h: 0.5}", "leave `latent_hazard` out"),
         ("moving_threats: [{walk: 0.5, h: 0.2}]", "leave `moving_threats` out"),
         ("phases: [{from: 5, threats: [{raster: t.npy}]}]", "leave `phases` out"),
         ("true_map: t.npy\nsensor_range: {range: 2}", "leave `true_map`, `prior_map` and `sensor_range` out"),
@@ -406,7 +408,7 @@ def test_contradictions_of_a_plan_file(tmp_path: Path, capsys: pytest.CaptureFix
         assert said in error_of(capsys, "evaluate", *words, "--plan", str(file))
     jump = tmp_path / "jump.json"
     jump.write_text('{"paths": [[[0, 1], [0, 4]]]}')
-    assert "robot 0" in error_of(capsys, "evaluate", WORLD, "--plan", str(jump))
+    assert "`paths[0]` jumps" in error_of(capsys, "evaluate", WORLD, "--plan", str(jump))
 
 
 def test_a_plan_made_for_other_robots_than_the_scenario_s_is_noted(

@@ -307,7 +307,7 @@ def test_who_comes_home_is_compared_too(capsys: pytest.CaptureFixture[str]) -> N
         assert estimate.se == pytest.approx(values.std(ddof=1) / 32, rel=1e-9)
     asked = (WORLD, "--robots", "3", "--return-to", "home", "--rollouts", "256")
     both = answer(capsys, *asked, "--b.policy", "per_cell")
-    assert both["difference"].keys() == both["a"]["mean"].keys() == {*FIGURES, "home", "all_home"}
+    assert both["difference"].keys() == both["a"]["mean"].keys() == {*FIGURES, "home", "all_home", "delivered"}
     assert run(["compare", WORLD, "--robots", "3", "--b.return-to", "home", "--rollouts", "256"]) == 0
     assert "note: B's robots return to base, " in " ".join(capsys.readouterr().out.split())
     alone = answer(capsys, *asked[:3], "--b.return-to", "home", "--rollouts", "256")

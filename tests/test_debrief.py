@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import error_of
+from jsonschema import Draft202012Validator
 from mcap.writer import Writer
 from numpy.typing import NDArray
 from rasterio.features import rasterize
@@ -19,6 +20,7 @@ from rosbags.typesys import Stores, get_typestore
 import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.debrief import Debrief, Multiplier
+from analysis.report.schema import schema
 from planner.errors import MapError
 from planner.plan.plan import Plan
 from planner.world.grid import Georeference
@@ -152,6 +154,8 @@ def test_a_rollout_debriefed_gives_its_own_coverage(tmp_path: Path, flown: tuple
     assert found["coverage"]["visited"] == done.visited.sum() / world.accessible(plan.starts).sum()
     assert found["coverage"]["planned"] == 1 and found["lost"] == 1
     assert sum(gap["cells"] for gap in found["gaps"]) == (done.accessible & ~done.visited).sum() > 0
+    rules = {"$defs": schema()["$defs"], "$ref": "#/$defs/debrief.Debrief"}
+    Draft202012Validator(rules).validate(json.loads(json.dumps(found)))
     # The plan of the rest covers what is left, with the robots that are left.
     assert done.rest is not None
     rest = {int(cell) for robot, path in enumerate(done.rest.robots) if robot not in dead for cell in path.path}

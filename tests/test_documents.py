@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import sys
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import assert_same_results, assert_same_tally, load_plan
+from jsonschema import Draft202012Validator, ValidationError
 from make_examples import main, office_floor, paper_world
 
 import analysis.examples
@@ -22,6 +24,7 @@ import mrac_jax as mrac
 from analysis.cli.app import app
 from analysis.evaluation.report import report
 from analysis.report.result import print_report, report_of
+from analysis.report.schema import FILE, schema
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.utils.tables import as_text
 from planner.errors import InputError
@@ -251,6 +254,45 @@ def test_a_question(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         if path.suffix == ".html"
     ]
     assert len(pages) == 1 and said in pages[0]
+
+
+# --- The JSON Schema of the results.
+
+
+def strict(node: Any) -> Any:
+    """The schema with an error for every key that it does not name."""
+    if isinstance(node, list):
+        return [strict(one) for one in node]
+    if not isinstance(node, dict):
+        return node
+    extended = "properties" in node and "anyOf" in node
+    out = {name: value if extended and name == "anyOf" else strict(value) for name, value in node.items()}
+    return out | ({"unevaluatedProperties": False} if {"$ref", "properties"} & set(node) else {})
+
+
+def test_json_objects_follow_the_schema() -> None:
+    """Every result has the types of the schema in the package, and no key that it lacks."""
+    written = json.loads(FILE.read_text(encoding="utf-8"))
+    assert written == json.loads(json.dumps(schema())), "run `python -m analysis.report.schema`"
+    world, few = mrac.load(np.pad(np.full((3, 3), 0.05), 1)), {"rollouts": 64}
+    found = {
+        "evaluate": mrac.evaluate(world, 2, deadline=9, threat_scale=[0.5, 1], turn=1, **few),
+        "compare": mrac.compare((world, 1), (world, 2), **few),
+        "front": mrac.front(world, 2, losses=1, **few),
+        "size": mrac.size(world, target=0.5, **few),
+        "starts": mrac.starts(world, 2, **few),
+        "threats_add": mrac.threats(world, 2, add=1, **few),
+        "threats_remove": mrac.threats(world, 2, remove=1, **few),
+        "check": mrac.check(world, 2, **few),
+        "check_worlds": mrac.check(worlds=2, robots=2, size="4x4", **few),
+        "judge": mrac.judge(world, lambda *given: np.zeros(1, int), robots=1, **few),
+    }
+    defs = {name: {key: strict(value) for key, value in one.items()} for name, one in written["$defs"].items()}
+    for command, result in found.items():
+        rule = strict(written["commands"][command]) | {"$defs": defs, "properties": {"format": {"const": 2}}}
+        Draft202012Validator(rule).validate(json.loads(json.dumps(result.to_json())))
+    with pytest.raises(ValidationError, match="unexpected"):
+        Draft202012Validator(rule).validate(found["judge"].to_json() | {"another": 1})
 
 
 def test_a_back_end(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -414,7 +414,7 @@ def test_settings_are_checked_before_planning(settings: dict[str, Any], said: st
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda: make_goal(0.9, None, False, "seen"), "meaning='seen'"),  # type: ignore[arg-type]
+        (lambda: make_goal(0.9, None, False, "seen"), "metric='seen'"),
         (lambda: make_goal(2, None, False), "target=2"),
         (lambda: make_goal(0.5, None, True), "both complete and target"),
         (lambda: make_survey(0, None, None, (1,), Choices()), "worlds=0"),

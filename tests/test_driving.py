@@ -60,7 +60,7 @@ def kill_mission(kills: int, folder: Path, seed: int) -> int:
     world, plan = small_case(seed)
     whole = VisitLoop(plan, world).run(seed, 0)
     said = json.loads(file.read_text())
-    assert said["step"] == whole.time
+    assert said["step"] == whole.step
     assert said["visited"] == np.flatnonzero(whole.visited).tolist()
     assert [robot["status"] != "dead" for robot in said["robots"]] == whole.alive.tolist()
     assert [one for one in folder.iterdir() if one.suffix == ".json"] == [file]

@@ -34,35 +34,44 @@ def world() -> World:
     return random_world(6, 7, obstacles=0.15, threats=0.3)
 
 
-def test_pettingzoo_conforms() -> None:
-    from pettingzoo.test import parallel_api_test
-    from pettingzoo.test.seed_test import check_environment_deterministic_parallel
-
-    env = mrac.env(world(), ROBOTS, max_steps=STEPS)
-    parallel_api_test(env, num_cycles=100)
-    check_environment_deterministic_parallel(env, mrac.env(world(), ROBOTS, max_steps=STEPS), num_cycles=STEPS)
+BOTH = pytest.mark.parametrize("given", [{"max_steps": STEPS}, {"actions": "areas"}], ids=["moves", "areas"])
 
 
-def test_gymnasium_conforms() -> None:
+@BOTH
+def test_pettingzoo_conforms(given: dict[str, Any]) -> None:
+    from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+    parallel_api_test(mrac.env(world(), ROBOTS, render_mode="rgb_array", **given), num_cycles=100)
+    parallel_seed_test(lambda: mrac.env(world(), ROBOTS, **given), num_cycles=STEPS)
+
+
+@BOTH
+def test_gymnasium_conforms(given: dict[str, Any]) -> None:
     from gymnasium.utils.env_checker import check_env
 
     import mrac_jax.env.gymnasium_env as registered
 
-    one = gymnasium.make(registered.ID, world=world(), robots=ROBOTS, max_steps=STEPS, render_mode="rgb_array")
+    one = gymnasium.make(registered.ID, world=world(), robots=ROBOTS, render_mode="rgb_array", **given)
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*not within the observation space|.*Casting")
+        warnings.filterwarnings("ignore", message=".*maximum value is infinity|.*not within the observation|.*Casting")
         check_env(one.unwrapped)
-    many = gymnasium.make_vec(registered.ID, num_envs=2, vectorization_mode="vector_entry_point", world=world())
+    how: dict[str, Any] = {"num_envs": 2, "vectorization_mode": "vector_entry_point"}
+    many = gymnasium.make_vec(registered.ID, world=world(), robots=ROBOTS, **how, **given)
     assert isinstance(many.unwrapped, registered.TeamVectorEnv)
 
 
-def test_many_environments_are_single_ones_side_by_side() -> None:
+@pytest.mark.parametrize(
+    ("given", "count", "steps"),
+    [({"max_steps": 12, "robot_value": 2.0}, 4, 30),
+     ({"actions": "areas", "rule": "per_cell", "robot_value": 1.0}, 2, 120)],
+    ids=["moves", "areas"],
+)  # fmt: skip
+def test_many_environments_are_single_ones_side_by_side(given: dict[str, Any], count: int, steps: int) -> None:
     """The vector environment against a single one for each rollout; one that is over begins its next rollout."""
-    count, seed = 4, 7
-    given: dict[str, Any] = {"robots": ROBOTS, "max_steps": 12, "robot_value": 2.0}
-    many = mrac.env(world(), face="vector", num_envs=count, **given)
-    one = mrac.env(world(), face="gymnasium", **given)
-    actions = np.random.default_rng(2).integers(0, 5, (30, count, ROBOTS))
+    seed = 7
+    many = mrac.env(world(), ROBOTS, face="vector", num_envs=count, **given)
+    one = mrac.env(world(), ROBOTS, face="gymnasium", **given)
+    actions = np.random.default_rng(2).integers(0, many.single_action_space.nvec[0], (steps, count, ROBOTS))
     seen, infos = many.reset(seed=seed)
     told = [(seen, None, None, None, infos), *(many.step(given) for given in actions)]
     assert many.observation_space.contains(seen) and many.action_space.contains(actions[0])
@@ -81,6 +90,7 @@ def test_many_environments_are_single_ones_side_by_side() -> None:
                 assert observed.tobytes() == now[0][place].tobytes()
                 assert (reward, ended, cut) == (now[1][place], now[2][place], now[3][place])
                 assert (info["action_mask"] == now[4]["action_mask"][place]).all()
+                assert info["step"] == now[4]["step"][place]
                 over = ended or cut
         assert episode > count
 
@@ -107,8 +117,9 @@ def test_pettingzoo_steps_as_jax() -> None:
     assert lost > 0
 
 
-def test_a_picture() -> None:
-    env = mrac.env(world(), ROBOTS, render_mode="rgb_array")
+@BOTH
+def test_a_picture(given: dict[str, Any]) -> None:
+    env = mrac.env(world(), ROBOTS, render_mode="rgb_array", **given)
     env.reset(seed=0)
     assert env.render().shape == (48, 56, 3) and len(np.unique(env.render())) > 3
     assert mrac.env(world(), ROBOTS).render() is None

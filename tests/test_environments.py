@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import warnings
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -20,7 +19,6 @@ from analysis.sampling import RolloutChoices, make_singles
 from mrac_jax.arrays import threshold_pairs
 from mrac_jax.env.area_env import COLUMNS, AreaEnv
 from mrac_jax.env.coverage_env import ACTIONS, AT_ONCE, PLANES, CoverageEnv, State
-from planner.errors import InputError
 from planner.failure_model import exposure_of, tolerances
 from planner.make_plan import make_plan
 from planner.mission.external_allocation import ChosenRun
@@ -225,15 +223,6 @@ def test_planes(view: int | None) -> None:
     assert np.asarray(states.alive).mean() < 0.9
 
 
-def test_what_cannot_be_is_refused() -> None:
-    env = made()
-    for wrong in ({"view": -1}, {"view": 1.5}, {"robot_value": -1}, {"max_steps": 0}):
-        with pytest.raises(InputError):
-            CoverageEnv(env.world, **wrong)
-    with pytest.raises(InputError, match="value"):
-        CoverageEnv(env.world.with_values(2.0))
-
-
 # Areas as actions: the rule's first offers are its closed loop; conformance; rewards and masks; many side by side.
 
 BY_SIZE = Rule("by_size", lambda offer: ((offer.level, 1), (-offer.unvisited, 1)))
@@ -262,13 +251,13 @@ def test_the_first_offers_of_a_rule_are_its_closed_loop(policy: Policy) -> None:
         plan = make_plan(there, place_starts(there, 4)[0], Settings(policy=policy))
         loop = PythonLoop(plan, there)
         for rollout in range(2):
-            run = ChosenRun(loop, seed, rollout, traced=True)
+            run = ChosenRun(loop, seed, rollout)
             run.go_on()
             while run.decision is not None:
                 run.go_on(0)
                 choices += 1
             assert run.outcome is not None
-            assert_same_trace(run.trace(), loop.trace(seed, rollout))
+            assert_same_trace(run.now.trace, loop.trace(seed, rollout))
     assert choices > 40
 
 
@@ -284,7 +273,7 @@ def test_rollouts_of_one_loop_may_go_on_in_turn(rule: str) -> None:
         run.go_on(int(draw.integers(last + 1)) if last >= 0 and draw.random() < 0.8 else None)
 
     def begun(rollout: int) -> tuple[ChosenRun, np.random.Generator]:
-        return ChosenRun(loop, 8, rollout, traced=True), np.random.default_rng(rollout)
+        return ChosenRun(loop, 8, rollout), np.random.default_rng(rollout)
 
     in_turn, asked = [begun(rollout) for rollout in range(5)], 0
     while left := [one for one in in_turn if one[0].outcome is None]:
@@ -295,7 +284,7 @@ def test_rollouts_of_one_loop_may_go_on_in_turn(rule: str) -> None:
         alone, draw = begun(rollout)
         while alone.outcome is None:
             go_on(alone, draw)
-        assert_same_trace(alone.trace(), run.trace())
+        assert_same_trace(alone.now.trace, run.now.trace)
         assert alone.now.unvisited == run.now.unvisited == loop.loop.accessible - run.now.visited.sum()
         assert alone.new.sum() == run.now.visited.sum()
     assert asked > 20 and not all(run.now.alive.all() for run, _ in in_turn)
@@ -400,60 +389,14 @@ def test_who_takes_none_rests_until_areas_change() -> None:
     assert 0 < len(set(asked)) == len(asked) < 40 and run.now.unvisited > 0
 
 
-def test_pettingzoo_and_gymnasium_conform() -> None:
-    gymnasium = pytest.importorskip("gymnasium")
-    pytest.importorskip("pettingzoo")
-    from gymnasium.utils.env_checker import check_env
-    from pettingzoo.test import parallel_api_test, parallel_seed_test
-
-    from mrac_jax.env.gymnasium_env import ID
-
-    def make(**more: Any) -> Any:
-        return mrac.env(world(), 3, actions="areas", render_mode="rgb_array", **more)
-
-    parallel_api_test(make(), num_cycles=100)
-    parallel_seed_test(make, num_cycles=60)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*maximum value is infinity|.*not within the observation|.*Casting")
-        check_env(gymnasium.make(ID, world=world(), robots=3, actions="areas", render_mode="rgb_array").unwrapped)
-    env = make()
-    env.reset(seed=0)
-    assert env.render().shape == (8 * world().shape[0], 72, 3)
-
-
-def test_many_are_single_ones_side_by_side() -> None:
-    given: dict[str, Any] = {"robots": 3, "actions": "areas", "rule": "per_cell", "robot_value": 1.0}
-    many = mrac.env(world(), face="vector", num_envs=2, **given)
-    ones = [mrac.env(world(), face="gymnasium", **given) for _ in range(2)]
-    seen, _ = many.reset(seed=9)
-    for place, one in enumerate(ones):
-        one.reset(seed=9)
-        for _ in range(place):
-            one.reset()
-    draw, over = np.random.default_rng(3), [False, False]
-    for _ in range(120):
-        actions = draw.integers(0, 4, (2, 3))
-        seen, rewards, ends, cuts, infos = many.step(actions)
-        for place, one in enumerate(ones):
-            if over[place]:
-                one.reset()
-                told = one.reset()
-                assert rewards[place] == 0 and (told[0] == seen[place]).all()
-                over[place] = False
-            else:
-                observed, reward, end, cut, info = one.step(actions[place])
-                assert (observed == seen[place]).all() and reward == rewards[place]
-                assert (end, cut) == (ends[place], cuts[place]) and info["step"] == infos["step"][place]
-                over[place] = end or cut
-
-
-def test_what_cannot_be_is_refused_areas() -> None:
-    for wrong in ({"view": 2}, {"offers": 0}, {"face": "jax"}, {"robot_value": -1}):
+def test_what_cannot_be_is_refused() -> None:
+    of_areas = ({"view": 2}, {"offers": 0}, {"face": "jax"}, {"robot_value": -1})
+    of_moves = ({"view": -1}, {"view": 1.5}, {"robot_value": -1}, {"max_steps": 0}, {"rule": "mrac"}, {"offers": 3})
+    for wrong in (*({"actions": "areas"} | more for more in of_areas), *of_moves, {"actions": "area"}):
         with pytest.raises(mrac.InputError):
-            mrac.env(world(), 2, actions="areas", **wrong)
-    for also in ({"rule": "mrac"}, {"offers": 3}, {"actions": "area"}):
-        with pytest.raises(mrac.InputError):
-            mrac.env(world(), 2, **also)
+            mrac.env(world(), 2, **wrong)
+    with pytest.raises(mrac.InputError, match="value"):
+        mrac.env(world().with_values(2.0), 2)
     with pytest.raises(mrac.InputError, match="rule='best'; expected 'mrac'"):
         mrac.env(world(), 2, actions="areas", rule="best")
     apart = replace(world(), team=Team(settings={"radio": 3.0}))

@@ -37,6 +37,7 @@ from analysis.sampling import RolloutChoices
 from analysis.theory.verdicts import longest_run
 from planner.errors import InputError, UsageError
 from planner.formatting import percent
+from planner.json_objects import as_json
 from planner.plan.plan import Plan, is_certain
 from planner.plan.state import MissionState
 from planner.plan.state_file import load_state
@@ -502,7 +503,7 @@ def test_what_is_known_of_one_robot_is_what_is_said(world: World) -> None:
 
 def test_what_is_known_by_a_step_is_what_is_said(world: World) -> None:
     answer = mrac.evaluate(world, 1, rollouts=200, deadline=4, advice=False)
-    found, exact = answer.outputs["deadline"].as_json(), answer.closed_form
+    found, exact = as_json(answer.outputs["deadline"]), answer.closed_form
     assert found["visited"]["mean"] * 14 == pytest.approx(exact.by_deadline(4)[0]) and found["visited"]["se"] == 0
     assert found["losses"]["mean"] == pytest.approx(exact.losses_by(4))
     by_step = f"By step 4: {percent(exact.by_deadline(4)[0] / 14, 2)} (exact) visited"

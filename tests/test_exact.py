@@ -391,7 +391,7 @@ def test_by_a_step_at_which_every_run_has_ended_nothing_is_said_twice() -> None:
     plan = mrac.plan(world, 2, return_to="home")
     over, before = (mrac.evaluate(world, plan, rollouts=200, deadline=steps, advice=False) for steps in (40, 3))
     assert not any("By step" in line for line in report(over).findings)
-    deadline, told = over.outputs["deadline"].as_json(), over.to_json()
+    deadline, told = over.to_json()["deadline"], over.to_json()
     assert deadline["visited"]["mean"] == pytest.approx(told["best"]["visited"]["mean"])
     assert deadline["losses"]["mean"] == pytest.approx(told["losses"]["mean"])
     assert told["some_left"]["ci95"][0] == pytest.approx(told["some_left"]["ci95"][1])

@@ -152,7 +152,7 @@ def test_rollouts_are_those_of_an_independent_simulator(name: str) -> None:
     for one in answers["rollouts"]:
         rollout, run = one["id"], python.run(seed, one["id"])
         expected = [one[what] for what in ("visited", "survived", "time", "alive")]
-        assert [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum()] == expected
+        assert [run.visited.sum(), run.survived.sum(), run.step, run.alive.sum()] == expected
         found = [getattr(singles, what)[rollout] for what in ("visited", "survived", "time", "alive")]
         assert found == expected
         ended = WORDS_OF_0_3.get(one["outcome"], one["outcome"])
@@ -267,7 +267,7 @@ def test_worn_rollouts_are_those_of_an_independent_simulator(name: str) -> None:
     for one in weibull_shape["rollouts"]:
         expected = [one[what] for what in FIGURES]
         run = python.run(seed, one["id"])
-        assert [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum()] == expected
+        assert [run.visited.sum(), run.survived.sum(), run.step, run.alive.sum()] == expected
         assert [getattr(singles, what)[one["id"]] for what in FIGURES] == expected
         hits = run.trace.events
         assert hits[hits[:, 2] == 1][:, [0, 1, 4]].tolist() == one["hits"]
@@ -369,7 +369,7 @@ def test_the_rest_of_a_mission_goes_on_from_what_was_borne() -> None:
     tally, singles = run_range(loop, 9, 0, 20_000, singles=True)
     assert singles is not None
     run = PythonLoop(rest, ROW).run(9, 7)
-    assert [run.visited.sum(), run.time] == [singles.visited[7], singles.time[7]]
+    assert [run.visited.sum(), run.step] == [singles.visited[7], singles.time[7]]
     exact = open_loop_exact(rest, ROW)
     for what, value in (("visited", exact.visited), ("survived", exact.survived), ("alive", exact.survival.sum())):
         middle, se = mean(getattr(tally, what))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -24,6 +25,7 @@ from planner.errors import InputError, PlanError, UsageError, WorldError
 from planner.failure_model import tolerances
 from planner.make_plan import make_plan
 from planner.plan.plan import Plan
+from planner.plan.state_file import parse_state
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.coverage_gradient import MOST_HISTORIES, CoverageGradient, closed_loop_gradient
 from planner.rollouts.engine import open_loop_engine
@@ -363,6 +365,10 @@ def truth_of(world: World) -> np.ndarray:
     return p
 
 
+def team(world: World, robots: int, policy: str) -> Plan:
+    return make_plan(world, place_starts(world, robots)[0], Settings(policy=policy))
+
+
 def expected_visited(loop: ClosedLoop) -> float:
     counts = Runner(loop, 0, loop.robots + 1).grow(WHOLE, 1, 10**6)
     assert not counts.left_visited.any()
@@ -370,13 +376,12 @@ def expected_visited(loop: ClosedLoop) -> float:
 
 
 def check_against_differences(
-    world: World, robots: int, policy: str, most: int | None = None
+    world: World, plan: Plan, most: int | None = None
 ) -> tuple[Plan, np.ndarray, CoverageGradient]:
     """The exact gradient is the limit of differences of exact trees, whose robots decide by the map of the plan.
 
     `most`: cells that are looked at; None: all.
     """
-    plan = make_plan(world, place_starts(world, robots)[0], Settings(policy=policy))
     p, loop = truth_of(world), compile_closed_loop(plan, world)
     exact = closed_loop_gradient(world, plan, p, exact=True)
     assert exact.coverage == pytest.approx(expected_visited(loop.under(World.create(p))), rel=1e-12)
@@ -397,19 +402,20 @@ def check_sampled(sampled: CoverageGradient, exact: CoverageGradient) -> None:
     assert 0.2 < np.sqrt((scores**2).mean()) < 2
 
 
-@pytest.fixture
-def as_python() -> Iterator[None]:
+@contextmanager
+def simulated_as_python() -> Iterator[None]:
     """The simulator as Python: a program that counts these sums takes 20 CPU seconds to compile."""
-    with (
-        patch("planner.rollouts.runners.run_group_tasks", interpreted("rollouts").run_group_tasks),
-        np.errstate(over="ignore"),
-    ):
+    program = "planner.rollouts.runners.run_group_tasks"
+    with patch(program, interpreted("rollouts").run_group_tasks), np.errstate(over="ignore"):
         yield
+
+
+as_python = pytest.fixture(simulated_as_python.__wrapped__)
 
 
 @pytest.mark.parametrize(("robots", "policy"), [(1, "mrac"), (2, "mrac"), (2, "per_cell")])
 def test_the_closed_loop_gradient_is_that_of_exact_trees(robots: int, policy: str, as_python: None) -> None:
-    plan, p, exact = check_against_differences(random_world(4, 5), robots, policy, 2)
+    plan, p, exact = check_against_differences(random_world(4, 5), team(random_world(4, 5), robots, policy), 2)
     assert (exact.standard_error[p > 0] == 0).all()
     assert exact.rollouts == 0
     sampled = closed_loop_gradient(random_world(4, 5), plan, p, rollouts=1024, seed=3, threads=1)
@@ -422,18 +428,24 @@ def test_the_closed_loop_gradient_is_that_of_exact_trees(robots: int, policy: st
 def test_the_compiled_gradient_is_that_of_exact_trees(robots: int, policy: str) -> None:
     for height, width in ((4, 5), (6, 9), (9, 7)):
         world = random_world(height, width)
-        plan, p, exact = check_against_differences(world, robots, policy)
+        plan, p, exact = check_against_differences(world, team(world, robots, policy))
         sampled = closed_loop_gradient(world, plan, p, rollouts=100_000, seed=2)
         check_sampled(sampled, exact)
         tally = run_range(compile_closed_loop(plan, world).under(World.create(p)), 2, 0, 100_000)[0]
         assert sampled.coverage == pytest.approx(tally.visited @ np.arange(len(tally.visited)) / 100_000, rel=1e-12)
         np.testing.assert_array_equal(np.rint(sampled.losses * 100_000).ravel(), tally.stops)
         few = closed_loop_gradient(world, plan, p, rollouts=2000, threads=2)
-        with (
-            patch("planner.rollouts.runners.run_group_tasks", interpreted("rollouts").run_group_tasks),
-            np.errstate(over="ignore"),
-        ):
+        with simulated_as_python():
             same(vars(few), vars(closed_loop_gradient(world, plan, p, rollouts=2000, threads=1)))
+
+
+def test_the_gradient_of_a_resumed_mission_counts_only_later_visits(as_python: None) -> None:
+    world = World.create([[0, 0.2, 0, 0.1], [0.3, 0, 0.2, 0], [0, 0.1, 0, 0.2]])
+    said: dict[str, Any] = {"format": "mrac-state", "version": 1, "world": {"shape": [3, 4], "sha256": world.sha256}}
+    said |= {"visited": [[0, 0], [0, 1], [0, 2], [2, 1], [2, 2]], "step": 20}
+    state = parse_state(said | {"robots": [{"cell": [0, 2]}, {"cell": [2, 2]}]}, world, "")
+    assert 9 in state.survived
+    check_against_differences(world, make_plan(world, state.starts, Settings(), state=state))
 
 
 def test_the_closed_loop_gradient_on_the_device() -> None:

@@ -44,7 +44,10 @@ from planner.world.start_rule import place_starts
 
 ROOMS = ("planner", "analysis", "mrac_jax")
 DOOR = re.compile(r"mrac_jax|mrac_jax\.__main__|mrac_jax\.env\.suite|analysis\.(api|cli)(\.\w+)?")
-ANSWERS = ("evaluation", "comparison", "checking", "experiments", "sweeps", "recording", "search", "policy_evaluation")
+ANSWERS = (
+    "evaluation", "comparison", "checking", "reproduction", "sweeps", "recording", "search", "policy_evaluation",
+    "debrief",
+)  # fmt: skip
 KITS = ("statistics", "theory", "page", "pictures", "utils", "report", "exporting")
 
 
@@ -234,7 +237,7 @@ def test_errors_name_arguments_not_options() -> None:
 
 REGISTERED = re.compile(r"app\.command|overload|infer_getattr|lower_getattr_generic|unbox|.*register\w*")
 """Decorators that hand on what they decorate: nobody calls it by its name."""
-NAMED = {"world_with_starts", "cleared_world", "roll_out_readably", "unserialize_library", "closed_rollouts"}
+NAMED = {"world_with_starts", "cleared_world", "unserialize_library", "closed_rollouts", "step_env"}
 """Used all the same: by who writes Python, by a process that is begun with a line of it, and by Numba."""
 OURS = {"Protocol", "NamedTuple", "Enum", "IntEnum", "Exception", "object"}
 """Bases from elsewhere that call no method of their own accord."""
@@ -244,8 +247,16 @@ def names_in(tree: ast.AST) -> Counter[str]:
     """How often each name is used, looked up as "module:name" too; who imports it does not yet use it."""
     texts = (node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str))
     found = Counter(text.partition(":")[2] for text in texts if re.fullmatch(r"[\w.]+:\w+", text))
+    found.update(word for text in texts_of_keys(tree) for word in re.findall(r"\w+", text))
     nodes = (node for node in ast.walk(tree) if isinstance(node, ast.Name | ast.Attribute))
     return found + Counter(node.id if isinstance(node, ast.Name) else node.attr for node in nodes)
+
+
+def texts_of_keys(tree: ast.Module) -> Iterator[str]:
+    """The keys of JSON objects (`planner.json_objects`), which name attributes."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "json_keys":
+            yield ast.literal_eval(node.value)
 
 
 def definitions(tree: ast.Module, classes: set[str]) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef]:

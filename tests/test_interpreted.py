@@ -129,7 +129,7 @@ def test_an_in_area_order_of_the_user_s_own_is_followed_or_refused(transit: Any,
     world = World.create(np.zeros((1, 5)))
     plan = mrac.plan(world, starts=[[0, 1]], transit=transit, in_area=farthest_first)
     assert plan.robots[0].path.tolist() == [1, 2, 3, 4, 3, 2, 1, 0]
-    assert PythonLoop(plan, world).run(1, 0).paths[0].tolist() == plan.robots[0].path.tolist()
+    assert PythonLoop(plan, world).run(1, 0).trace.cells[:, 0].tolist() == plan.robots[0].path.tolist()
     with pytest.raises(PlanError, match="in-area order of the user's own cannot be saved"):
         plan.save(tmp_path / "plan.json")
     with pytest.raises(InputError, match="do not support an in-area order"):

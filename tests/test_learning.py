@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from closed_loop_worlds import survey_worlds
 from conftest import ANSWERS
-from helpers import play_both_ways
+from helpers import paths_of, play_both_ways
 from numpy.typing import NDArray
 from test_return_home import ways
 from test_threats_over_time import POLICIES, changing
@@ -28,7 +28,7 @@ from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop, final_odds, run_range, trace_rollouts
 from planner.rollouts.engine import Rolling, closed_loop_engine, make_engine
 from planner.rollouts.exact_tree import WHOLE, grow_tree
-from planner.rollouts.single_run import PythonLoop, SingleRun, play
+from planner.rollouts.single_run import PythonLoop, SingleRun
 from planner.settings import Settings
 from planner.simulator.codes import ALWAYS, NEVER, NO_AREA, Doing, EventKind, Outcome
 from planner.simulator.jit import interpreted
@@ -85,7 +85,7 @@ class Script:
 
 def written(run, world):
     """Paths, visited cells and outcome of a run, as JSON."""
-    paths = [[list(map(int, cell)) for cell in moves(cells_of(world, path))] for path in run.paths]
+    paths = [[list(map(int, cell)) for cell in moves(cells_of(world, path))] for path in paths_of(run)]
     return [paths, [list(cell) for cell in cells_of(world, np.flatnonzero(run.visited))], run.outcome.word]
 
 
@@ -108,7 +108,7 @@ def test_every_scripted_run_is_that_of_a_twin_written_from_the_rules(number, nam
         for starts in (free[[0, -1]], free[[0, 0]]):
             loop = compile_closed_loop(make_plan(world, starts), world, interpreted=True)
             hits = [Script(other > 0, stops).hit for stops in (STOPS[::3], STOPS)[most]]
-            runs += [written(play(SingleRun(loop, hit=hit)), world) for hit in hits]
+            runs += [written(SingleRun(loop, hit=hit).play(), world) for hit in hits]
     assert hash_of(runs) == ANSWERS["learning"][f"{number} {name}"][most]
 
 
@@ -194,7 +194,7 @@ def test_what_an_area_would_show_is_counted_cell_by_cell():
         return any(hypot(*np.subtract(divmod(cell, 9), divmod(int(other), 9))) <= 1.5 for other in cells)
 
     unseen = [cell for cell in np.flatnonzero(problem.unknown.within) if not near(cell, problem.starts)]
-    to_do = np.where(run.loop.on_grid(run.visited), NO_AREA, run.loop.on_grid(run.area_of, NO_AREA))
+    to_do = np.where(run.visited, NO_AREA, run.area_of)
     shown = [sum(near(cell, np.flatnonzero(to_do == number)) for cell in unseen) for number in range(run.s.marks.areas)]
     assert [interpreted("policy").frontier(run.p, run.s, number) for number in range(len(shown))] == shown
     assert len(set(shown)) > 1 and max(shown) == len(unseen)
@@ -501,7 +501,7 @@ def nothing(robot, step, cell):
 
 
 def played(loop, hit, alarm):
-    """A run in progress, at its end, and the run, by these judges of visits and readings."""
+    """The run by these judges of visits and readings."""
     beliefs = interpreted("map_belief")
 
     def read(t, s, how, rollout, robot):
@@ -511,8 +511,7 @@ def played(loop, hit, alarm):
             beliefs.add(s, cell, t.lessons[ALARM] if heard else -t.lessons[SILENCE])
 
     with patch.object(beliefs, "read", read):
-        run = SingleRun(loop, hit=hit)
-        return run, play(run)
+        return SingleRun(loop, hit=hit).play()
 
 
 @pytest.mark.parametrize("number", range(len(TINY)))
@@ -527,8 +526,8 @@ def test_every_scripted_run_is_that_of_a_twin_written_from_the_rules_experience(
         plan = make_plan(world, starts, Settings(levels=64))  # the twin knows no bins
         loop = compile_closed_loop(plan, world, interpreted=True)
         for stops in (STOPS[::3], STOPS)[most]:
-            run, done = played(loop, Script(world.threat > 0, stops, world.uncertainty).hit, readings)
-            runs.append([*written(done, world), run.raw.odds.tolist()])
+            run = played(loop, Script(world.threat > 0, stops, world.uncertainty).hit, readings)
+            runs.append([*written(run, world), run.raw.odds.tolist()])
     assert hash_of(runs) == ANSWERS["lessons"][f"{number} {kind} {which}"][most]
 
 
@@ -541,8 +540,8 @@ def test_a_detector_that_changes_the_map_keeps_a_waiting_team_up(detect, false_a
     plan = make_plan(world, [[0, 0]], Settings(policy="per_cell", robot_value=robot_value))
     assert (plan.outcome, plan.time) == ("not_worth_the_risk", 2)  # in the nominal run nobody learns
     loop = compile_closed_loop(plan, world, interpreted=True)
-    _, run = played(loop, nothing, nothing)
-    assert (run.outcome.name, run.time, int(run.visited.sum())) == ("COMPLETE", time, 4)
+    run = played(loop, nothing, nothing)
+    assert (run.outcome.name, run.step, int(run.visited.sum())) == ("COMPLETE", time, 4)
     play_both_ways(plan, world, robot_value, 12)
 
 

@@ -60,8 +60,8 @@ def case(seed: int, **more: Any) -> tuple[World, Plan]:
 
 def places(mission: Mission) -> list[tuple[int, int]]:
     """Where each robot is, as the mission knows."""
-    width = mission.world.shape[1]
-    return [divmod(robot.cell, width) for robot in mission._fleet.robots]
+    width, fleet = mission.world.shape[1], mission._fleet
+    return [divmod(fleet.cell(robot), width) for robot in range(mission.robots)]
 
 
 def told(mission: Mission) -> list[Any]:
@@ -179,8 +179,8 @@ def test_so_it_is_from_a_state_and_through_its_file(more: dict[str, Any], every:
         while mission.outcome is None:
             file = tmp_path / "now.json" if mission.step % every == 0 else None
             mission = step_by_luck(mission, luck, file=file, world=world, plan=plan)
-        assert (mission.outcome, mission.step - 1) == (plan.ending(whole.outcome), whole.time)
-        np.testing.assert_array_equal(mission._fleet.loop.on_grid(mission._fleet.visited), whole.visited)
+        assert (mission.outcome, mission.step - 1) == (plan.ending(whole.outcome), whole.step)
+        np.testing.assert_array_equal(mission._fleet.visited, whole.visited)
         assert mission.lost == tuple(np.flatnonzero(~whole.alive))
         if plan.failure_model.shape > 1:
             assert mission.state.exposures == tuple(luck._hazard[robot] for robot in range(mission.robots))
@@ -506,9 +506,9 @@ def test_each_step_is_written_down_once_whatever_is_closed_or_seen() -> None:
         for order in orders.values():
             seen = [[1, 6, 0.1], [1, 7, None]] if mission.step == 2 else None
             mission.report(order.robot, cell=order.cell, seen=seen)
-        steps.append([row * 8 + col for row, col in (order.cell for order in orders.values())])
+        steps.append([order.cell for order in orders.values()])
         mission.advance()
-        kept.append([robot.cell for robot in mission._fleet.robots])
+        kept.append(places(mission))
         assert (mission._fleet.new_events[:, 0] == len(steps) - 1).all()
         if mission.step == 4:
             mission.close([[0, 7]])
@@ -690,7 +690,7 @@ def drive(
         if mission.outcome is not None or (short and mission._fleet.over is not None):
             break
         mission = step_by_luck(mission, luck, sees=sees, file=file if step % 3 == 1 else None, **how)
-        places.append([robot.cell for robot in mission._fleet.robots])
+        places.append([mission._fleet.cell(robot) for robot in range(mission.robots)])
     return np.array(places), trace
 
 

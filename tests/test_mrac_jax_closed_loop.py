@@ -58,8 +58,9 @@ def assert_same_runs(engine: JaxClosedLoop, loop: ClosedLoop, rollouts: int, wha
     tally, results = engine.run(0, rollouts)
     expected, singles = run_range(loop, engine.seed, 0, rollouts, singles=True)
     assert singles is not None
-    assert_same_results(results, singles, what)
-    assert_same_tally(tally, expected, what)
+    # JAX does not count cells delivered.
+    assert_same_results(results, replace(singles, delivered=singles.delivered[:0]), what)
+    assert_same_tally(tally, replace(expected, delivered=expected.delivered[:0]), what)
     return results
 
 

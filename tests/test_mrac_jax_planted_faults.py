@@ -202,7 +202,7 @@ def compare_in_a_process(
 def test_a_held_flag_of_another_branch_is_found(tmp_path: Path) -> None:
     one, plan = held()
     python = PythonLoop(plan, one.world)
-    expected = pickle.dumps([python.run(one.seed, number).time for number in range(HELD_RUNS)])
+    expected = pickle.dumps([python.run(one.seed, number).step for number in range(HELD_RUNS)])
     said = []
     for fault in (None, STALE_FLAG):
         package = copy_of("planner", tmp_path / str(bool(fault)), fault)

@@ -26,22 +26,13 @@ from PIL import Image
 
 import mrac_jax as mrac
 from analysis import pictures as plots_style
+from analysis import pictures as style
 from analysis.evaluation.evaluate import Evaluation, evaluate
 from analysis.evaluation.outputs.over_time import Band, Deadline, last_shown
 from analysis.evaluation.report import report
 from analysis.evaluation.tables import bin_counts, histogram_bins, marks
 from analysis.page.charts import charts_figure
 from analysis.page.elements import Chart, Series
-from analysis.pictures import (
-    group_labels,
-    label_width,
-    map_layout,
-    new_figure,
-    picture_style,
-    png_bytes,
-    png_of,
-    ranges,
-)
 from analysis.report.rendering import figure_of
 from analysis.report.result import save_report
 from analysis.sampling import RolloutChoices
@@ -84,7 +75,7 @@ def evaluation() -> Evaluation:
 
 @cache
 def made(name: str, evaluation: Evaluation) -> Figure:
-    with picture_style():
+    with style.picture_style():
         return figure_of(report(evaluation), name)
 
 
@@ -92,13 +83,13 @@ def made(name: str, evaluation: Evaluation) -> Figure:
 def drawn(name: str, evaluation: Evaluation) -> Figure:
     """With everything where it will be."""
     figure = made(name, evaluation)
-    with picture_style():
+    with style.picture_style():
         figure.draw_without_rendering()
     return figure
 
 
 def assert_inside(figure: Figure, name: str) -> None:
-    with picture_style():
+    with style.picture_style():
         box = figure.get_tightbbox()
     width, height = figure.get_size_inches()
     assert box.x0 > 0 and box.y0 > 0, (name, box)
@@ -148,7 +139,7 @@ def test_maps_are_the_right_way_up(name: str) -> None:
     world = World.create(threat)
     figure = made(name, evaluation_of(world, make_plan(world, [[2, 4]]), 10))
     axes = figure.axes[0]
-    image = np.asarray(Image.open(io.BytesIO(png_bytes(figure))).convert("RGB"), dtype=float) / 255
+    image = np.asarray(Image.open(io.BytesIO(style.png_bytes(figure))).convert("RGB"), dtype=float) / 255
     rows, cols = np.mgrid[:5, :9]
     corners = np.stack([cols.ravel() - 0.4, rows.ravel() + 0.42], axis=1)  # off the paths, labels and frames
     x, y = axes.transData.transform(corners).T
@@ -327,13 +318,16 @@ def shortened(closed: Evaluation, steps: int) -> Evaluation:
 def test_labels_never_overlap_and_stay_on_the_map() -> None:
     starts = np.array([[r, c] for r in range(6) for c in range(8)] + [[0, 29], [19, 29], [19, 0]])
     for points in (2.0, 6.0, 14.0, 40.0):
-        labels = group_labels(starts, (20, 30), points)
+        labels = style.group_labels(starts, (20, 30), points)
         assert sorted(robot for label in labels for robot in label.members) == list(range(len(starts)))
         for number, label in enumerate(labels):
             assert all(0 <= place < side for place, side in zip(label.place, (20, 30), strict=True))
             for other in labels[:number]:
                 down, across = np.abs(np.subtract(label.place, other.place)) * points
-                assert down >= 13 - 1e-9 or across >= (label_width(label.name) + label_width(other.name)) / 2 - 1e-9
+                assert (
+                    down >= 13 - 1e-9
+                    or across >= (style.label_width(label.name) + style.label_width(other.name)) / 2 - 1e-9
+                )
 
 
 def crossed(figure: Figure) -> list[str]:
@@ -406,7 +400,7 @@ def test_no_line_runs_through_a_label(picture: str, evaluation: Evaluation, clos
     shown = {"open": evaluation, "closed": closed}
     shown |= {"some complete": some} if picture in ("distribution.png", "over_time.png") else {}
     for name, answer in shown.items():
-        with picture_style():
+        with style.picture_style():
             assert crossed(drawn(picture, answer)) == [], name
 
 
@@ -417,7 +411,7 @@ DEAR = [pytest.param(name, marks=pytest.mark.slow) for name in ("row", "split", 
 def test_extreme_worlds_are_drawn_inside_the_figure(name: str, extreme: dict[str, Evaluation]) -> None:
     for picture in PICTURES:
         assert_inside(drawn(picture, extreme[name]), picture)
-        with picture_style():
+        with style.picture_style():
             assert crossed(drawn(picture, extreme[name])) == [], picture
 
 
@@ -443,13 +437,13 @@ def test_maps_have_axes_in_metres(name: str, cell_size: float, origin: tuple[flo
 
 
 def test_words() -> None:
-    assert ranges([0, 1, 2, 5, 7, 8]) == "0-2,5,7-8"
+    assert style.ranges([0, 1, 2, 5, 7, 8]) == "0-2,5,7-8"
     assert [percent(x) for x in (0, 1, 0.5, 1e-6, 1 - 1e-6)] == ["0 %", "100 %", "50.0 %", "< 0.1 %", "> 99.9 %"]
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (256, 256), (1, 500), (500, 1), (74, 127)])
 def test_layout_keeps_the_aspect_and_fits(shape: tuple[int, int]) -> None:
-    layout = map_layout(shape, 20)
+    layout = style.map_layout(shape, 20)
     for left, bottom, width, height in (layout.map_box, layout.bar_box):
         assert left >= 0 and bottom > 0
         assert left + width <= layout.size[0] and bottom + height <= layout.size[1]
@@ -465,13 +459,13 @@ def test_the_user_s_pyplot_is_left_alone() -> None:
 
 def test_dollars_in_words_are_no_formula() -> None:
     """In a sweep's settings, for example: matplotlib fails on half a formula while it draws."""
-    with picture_style():
-        figure = new_figure((2.0, 1.0))
+    with style.picture_style():
+        figure = style.new_figure((2.0, 1.0))
         figure.text(0.1, 0.5, r"robots $\nothing{ $5 and $7")
         figure.add_axes((0.2, 0.2, 0.6, 0.6)).plot([1, 2], label=r"$\frac{")
         figure.axes[0].legend()
         figure.axes[0].set_xlabel(r"a $\b$ c")
-        assert png_bytes(figure).startswith(b"\x89PNG")
+        assert style.png_bytes(figure).startswith(b"\x89PNG")
 
 
 # `mrac.plots`: pictures of worlds, plans and answers, which a notebook shows without being told to.
@@ -613,7 +607,7 @@ def test_what_is_beyond_the_range_shown_at_least_and_long_words_stay_within_the_
 
 
 def test_it_is_drawn_the_same_twice() -> None:
-    assert png_of(charts_figure, CHARTS) == png_of(charts_figure, CHARTS)
+    assert style.png_of(charts_figure, CHARTS) == style.png_of(charts_figure, CHARTS)
 
 
 # `docs/examples/team_pictures.py` draws the pictures of robots half as fast, radio, and batteries that are charged.

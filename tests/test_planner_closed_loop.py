@@ -77,7 +77,7 @@ def test_threshold_runs_are_the_fixtures(fixture: Fixture) -> None:
     columns = [getattr(singles, name) for name in known["columns"]]
     assert np.stack(columns, axis=1).tolist() == known["runs"]
     run = PythonLoop(fixture.plan, fixture.world).run(known["seed"], 0)
-    found = run.visited.sum(), run.survived.sum(), run.time, run.alive.sum(), run.outcome
+    found = run.visited.sum(), run.survived.sum(), run.step, run.alive.sum(), run.outcome
     assert [int(value) for value in found] == known["runs"][0]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from closed_loop_worlds import SurveyWorld, first_worlds, survey_worlds
 from conftest import NAMES, Fixture, load_fixture
-from helpers import assert_same_trace, play_both_ways
+from helpers import assert_same_trace, paths_of, play_both_ways
 from numpy.typing import NDArray
 from oracle_simulator import Paper
 from oracle_tree import plain_run
@@ -181,7 +181,7 @@ def check_stuck(one: SurveyWorld, plan: Plan, results: RolloutResults) -> int:
         run = loop.run(one.seed, rollout)
         assert run.outcome is Outcome.NO_PROGRESS
         assert run.visited.sum() == results.visited[rollout]
-        alive = {int(part[path[-1]]) for path, lives in zip(run.paths, run.alive, strict=True) if lives}
+        alive = {int(part[path[-1]]) for path, lives in zip(paths_of(run), run.alive, strict=True) if lives}
         left = set(part[accessible & ~run.visited].tolist())
         assert alive, (one.name, rollout)
         assert left, (one.name, rollout)

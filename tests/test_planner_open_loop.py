@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import ANSWERS
 from drawn_worlds import tiny_world
-from helpers import answer_of, error_of, load_plan, play_both_ways
+from helpers import answer_of, error_of, load_plan, paths_of, play_both_ways
 from numpy.typing import NDArray
 from oracle_enumeration import best_of_one_robot
 from validate import validate
@@ -26,7 +26,7 @@ from planner.plan.plan import Plan, RobotPlan
 from planner.plan_team import plan_team
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.engine import Rolling, make_engine
-from planner.rollouts.single_run import Run, SingleRun, play
+from planner.rollouts.single_run import SingleRun
 from planner.settings import Settings
 from planner.simulator.codes import Doing, EventKind, Outcome
 from planner.world.generate import ThreatPattern, random_world
@@ -251,14 +251,14 @@ def map_of(seed: int) -> World:
     return random_world(5, 7, ThreatPattern(areas=4, levels=(0.05, 0.2, 0.4), seed=seed), threats=0.4, obstacles=0.1)
 
 
-def run_by_hand(plan: Plan, world: World, hits: set[tuple[int, int]]) -> Run:
+def run_by_hand(plan: Plan, world: World, hits: set[tuple[int, int]]) -> SingleRun:
     """The run in which just these (robot, step) are stopped."""
     loop = compile_closed_loop(plan, world, interpreted=True)
-    return play(SingleRun(loop, hit=lambda robot, step, cell: (robot, step) in hits))
+    return SingleRun(loop, hit=lambda robot, step, cell: (robot, step) in hits).play()
 
 
-def routes(run: Run) -> list[list[int]]:
-    return [path.tolist() for path in run.paths]
+def routes(run: SingleRun) -> list[list[int]]:
+    return [path.tolist() for path in paths_of(run)]
 
 
 def test_without_a_hit_paths_are_followed_and_what_they_leave_out_is_done_after_them() -> None:
@@ -276,7 +276,7 @@ def test_what_a_stopped_robot_leaves_is_taken_by_who_is_done_first() -> None:
     plan = paths_plan(world, [0, 1, 2, 3], [5, 4])
     run = run_by_hand(plan, world, {(0, 1)})
     assert routes(run) == [[0, 1], [5, 4, 3, 2]]
-    assert [area.cells.tolist() for area in run.areas_added] == [[2, 3]]
+    assert [area.cells.tolist() for area in run.notes.made] == [[2, 3]]
     assert run.outcome is Outcome.COMPLETE and run.alive.tolist() == [False, True]
 
 
@@ -285,14 +285,14 @@ def test_a_robot_on_its_given_path_neither_shares_nor_gives_way() -> None:
     whole = [0, 1, 2, 3, 4, 5, 11, 10, 9, 8, 7, 6, 12, 13, 14, 15, 16]
     run = run_by_hand(paths_plan(world, whole, [17]), world, set())
     assert routes(run) == [whole, [17]]
-    assert run.shares == 0
+    assert not (run.trace.events[:, 2] == EventKind.SHARED).any()
 
 
 def test_the_cells_left_are_cut_by_level_and_connection() -> None:
     world = World.create([[0.0, 0.1, 0.1, 0.0, 0.2, 0.0, 0.0]])
     plan = paths_plan(world, [0, 1, 2, 3, 4, 5], [6])
     run = run_by_hand(plan, world, {(0, 1)})
-    assert [(area.level, area.cells.tolist()) for area in run.areas_added] == [(0, [3]), (0, [5]), (1, [2]), (2, [4])]
+    assert [(area.level, area.cells.tolist()) for area in run.notes.made] == [(0, [3]), (0, [5]), (1, [2]), (2, [4])]
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -22,7 +22,7 @@ from planner.mrac.areas import bisect, connected_parts, find_areas, metis_parts,
 from planner.mrac.problem import prepare
 from planner.plan.plan import Area, Leg, Plan, RobotPlan
 from planner.rollouts.closed_loop import compile_closed_loop
-from planner.rollouts.single_run import SingleRun, play
+from planner.rollouts.single_run import SingleRun
 from planner.settings import Settings
 from planner.simulator.codes import Outcome
 from planner.simulator.paths import all_pairs, to_areas
@@ -100,13 +100,13 @@ def test_a_run_that_cannot_go_on_is_stuck_after_two_quiet_steps() -> None:
     # A stop in its own part of the map leaves cells that the other robot cannot reach.
     world = World.create([[0.0, 0.5, 0.0, np.nan, 0.0]])
     loop = compile_closed_loop(allocated_plan(world, [[0, 0], [0, 4]], Settings()), world, interpreted=True)
-    run = play(SingleRun(loop, hit=lambda robot, step, cell: cell == 1))
-    assert (run.outcome, run.time, run.alive.tolist()) == (Outcome.NO_PROGRESS, 3, [False, True])
+    run = SingleRun(loop, hit=lambda robot, step, cell: cell == 1).play()
+    assert (run.outcome, run.step, run.alive.tolist()) == (Outcome.NO_PROGRESS, 3, [False, True])
 
 
 def test_the_nominal_run_calls_no_luck() -> None:
     world = World.create(np.full((2, 3), 0.9))
-    assert nominal_run(*allocated(world, [[0, 0]], Settings())).outcome is Outcome.COMPLETE
+    assert nominal_run(*allocated(world, [[0, 0]], Settings()))[0].outcome is Outcome.COMPLETE
 
 
 # Levels, areas, partitions and the initial allocation as invariants on random worlds.

@@ -36,7 +36,7 @@ from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_r
 from planner.rollouts.engine import closed_loop_engine
 from planner.rollouts.exact_tree import WHOLE as MASS
 from planner.rollouts.exact_tree import grow_tree
-from planner.rollouts.single_run import PythonLoop, Run
+from planner.rollouts.single_run import PythonLoop, SingleRun
 from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
 from planner.simulator.codes import NONE, EventKind, Outcome
@@ -98,9 +98,9 @@ def check_runs(name: str, case: dict[str, Any], runs: int) -> None:
             assert found[:runs] == [columns_of(python.run(fixed["seed"], rollout)) for rollout in range(runs)]
 
 
-def columns_of(run: Run) -> list[int]:
+def columns_of(run: SingleRun) -> list[int]:
     """A run as the fixtures have it."""
-    counts = [int(run.visited.sum()), int(run.survived.sum()), run.time, int(run.alive.sum())]
+    counts = [int(run.visited.sum()), int(run.survived.sum()), run.step, int(run.alive.sum())]
     return [*counts, CODES.index(run.outcome)]
 
 

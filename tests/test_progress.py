@@ -98,26 +98,6 @@ def test_a_terminal_s_bar_is_empty_again_when_something_else_begins(monkeypatch:
         assert "100 of 100" not in screen.getvalue()
 
 
-def test_a_pipe_is_told_where_a_long_run_is(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(progress, "FIRST", 0.05)
-    monkeypatch.setattr(progress, "EVERY", 0.05)
-    with progress.show_progress() as watch:
-        watch(30, 120, 1.0)
-        deadline = time.monotonic() + 10
-        err = ""
-        while "30 of 120" not in err and time.monotonic() < deadline:
-            time.sleep(0.02)
-            err += capsys.readouterr().err
-    assert "rollouts ... 30 of 120 rollouts, 3 s left" in err
-    monkeypatch.undo()
-    assert progress.FIRST + progress.EVERY <= 3, "nothing is said for longer"
-    with progress.show_progress() as watch:
-        watch.doing("coverage over time")
-    assert capsys.readouterr().err == ""
-
-
 def test_a_compilation_is_named_with_the_seconds_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of one code all compilations together, the inner ones once; of another code from the start again."""
     now = 0.0
@@ -322,6 +302,8 @@ def slowly(seconds: float) -> Callable[[Any, Any], Done]:
 def test_a_terminal_has_a_bar_a_pipe_lines_if_asked(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    assert progress.FIRST + progress.EVERY <= 3, "nothing is said for longer"
+    ask(slowly(0.2), True, "raise")
     monkeypatch.setattr(progress, "FIRST", 0.05)
     monkeypatch.setattr(progress, "EVERY", 0.05)
     ask(slowly(0.2), None, "raise")
@@ -374,7 +356,7 @@ OTHERWISE = {"evaluate": {"theory"}, "compare": {"plan"}, "drive": {"outlook"}, 
 """Other options that in Python are methods of the answer, or arguments of a side."""
 OF_PYTHON = {
     "world", "plan", "a", "b", "spec", "store", "path", "progress", "on_interrupt", "starts", "out", "policy", "band",
-    "options", "force", "step_seconds", "speed", "altitude", "file", "show",
+    "options", "force", "step_seconds", "speed", "altitude", "file", "show", "made",
 }  # fmt: skip
 """Arguments that a command has as INPUT, or that are about the call itself."""
 

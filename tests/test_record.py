@@ -6,7 +6,7 @@ import json
 import re
 import struct
 from collections import Counter, defaultdict
-from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -26,16 +26,6 @@ from analysis.recording import record as rolling
 from analysis.recording.container import open_log
 from analysis.recording.contents import read_outcomes, read_rollouts
 from analysis.recording.frames import Held, make_frames
-from analysis.recording.record import (
-    OutcomeColumns,
-    Pick,
-    Picker,
-    Request,
-    parse_ids,
-    parse_picks,
-    record,
-    scenario_text,
-)
 from analysis.recording.viewers import topics as colours
 from analysis.recording.viewers.messages import rollout_messages
 from analysis.recording.viewers.topics import (
@@ -65,25 +55,26 @@ from planner.world.world import World
 # Recording: what is in the file, that it can be read back, and that the same input gives the same bytes.
 
 
-def test_rollouts_come_back_as_they_were(tmp_path: Path) -> None:
+@pytest.mark.parametrize("first_only", [False, True])
+def test_rollouts_come_back_as_they_were(tmp_path: Path, first_only: bool) -> None:
     path = tmp_path / "r.mcap"
-    world, plan = small_recording(path, ids=(9, 2, 4))
-    traces = list(closed_loop_engine(compile_closed_loop(plan, world), SEED, "numba").traces([9, 2, 4]))
-    found = list(read_rollouts(path))
-    assert [one.trace for one in found] == traces
+    world, plan = small_recording(path, ids=(9, 2, 4), first_only=first_only)
+    loop, found = compile_closed_loop(plan, world, first_only=first_only), list(read_rollouts(path))
+    assert [one.trace for one in found] == list(closed_loop_engine(loop, SEED, "numba").traces([9, 2, 4]))
     for one in found:
-        results = run_range(compile_closed_loop(plan, world), SEED, one.trace.rollout, 1, singles=True)[1]
+        results = run_range(loop, SEED, one.trace.rollout, 1, singles=True)[1]
         assert results is not None
         last = (one.visited[-1], one.survived[-1], one.alive[-1], one.trace.time)
         assert last == (results.visited[0], results.survived[0], results.alive[0], results.time[0])
         assert (one.loop, one.seed, one.shape) == ("closed", SEED, world.shape)
         assert one.accessible == world.accessible(plan.starts).sum()
         assert one.trace.cells.dtype == one.trace.events.dtype == np.int32
+    assert len(read_outcomes(path).ids) == 0, "none unless asked"
 
 
 @pytest.mark.usefixtures("few_lanes")
 def test_same_input_same_bytes_whatever_the_engine(tmp_path: Path) -> None:
-    choices = {"ids": (), "picks": parse_picks("worst,best,random"), "evaluated": 300, "outcomes": True}
+    choices = {"ids": (), "picks": rolling.parse_picks("worst,best,random"), "evaluated": 300, "outcomes": True}
     small_recording(tmp_path / "a.mcap", **choices)
     small_recording(tmp_path / "b.mcap", **choices)
     small_recording(tmp_path / "jax.mcap", **choices, engine="jax")
@@ -95,7 +86,9 @@ def test_same_input_same_bytes_whatever_the_engine(tmp_path: Path) -> None:
 
 def test_what_lies_beside_the_messages(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
-    world, plan = small_recording(path, ids=(), picks=parse_picks("median"), evaluated=100, scenario=b"map: x\n")
+    world, plan = small_recording(
+        path, ids=(), picks=rolling.parse_picks("median"), evaluated=100, scenario=b"map: x\n"
+    )
     log = open_log(path)
     settings = contents.read_settings(log.attachment("settings.json"), "r")
     assert (settings.seed, settings.evaluated, settings.plan, settings.loop) == (SEED, 100, "made", "closed")
@@ -117,7 +110,7 @@ def test_what_lies_beside_the_messages(tmp_path: Path) -> None:
 def test_every_outcome_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rolling, "BLOCK", 64)
     path = tmp_path / "r.mcap"
-    world, plan = small_recording(path, ids=(), picks=parse_picks("best"), evaluated=1000, outcomes=True)
+    world, plan = small_recording(path, ids=(), picks=rolling.parse_picks("best"), evaluated=1000, outcomes=True)
     found = read_outcomes(path)
     truth = run_range(compile_closed_loop(plan, world), SEED, 0, 1000, singles=True)[1]
     assert truth is not None
@@ -137,7 +130,7 @@ def test_blocks_of_outcomes_are_aligned_however_they_come(monkeypatch: pytest.Mo
     results = RolloutResults(7, *(np.arange(26, dtype=np.int32) for _ in range(4)), np.zeros(26, dtype=np.int8))
     seen = []
     for cut in (1, 3, 26):
-        columns = OutcomeColumns()
+        columns = rolling.OutcomeColumns()
         messages = []
         for start in range(0, 26, cut):
             messages += columns.add(rolling.part_of(results, start, min(start + cut, 26)))
@@ -148,14 +141,9 @@ def test_blocks_of_outcomes_are_aligned_however_they_come(monkeypatch: pytest.Mo
     assert [len(block.visited) for block in seen[0]] == [3, 10, 10, 3]
 
 
-def test_no_outcomes_unless_asked(tmp_path: Path) -> None:
-    small_recording(tmp_path / "r.mcap")
-    assert len(read_outcomes(tmp_path / "r.mcap").ids) == 0
-
-
 def test_ids_alone_are_the_tally(tmp_path: Path) -> None:
     world, plan = small_task()
-    done = record(world, plan, Request(ids=(3, 4, 9), seed=SEED), tmp_path / "r.mcap")
+    done = rolling.record(world, plan, rolling.Request(ids=(3, 4, 9), seed=SEED), tmp_path / "r.mcap")
     assert done.tally.ids == ((3, 5), (9, 10))
     assert [row.rollout for row in done.rows] == [3, 4, 9]
 
@@ -164,8 +152,8 @@ def test_ids_alone_are_the_tally(tmp_path: Path) -> None:
 def test_the_open_loop(tmp_path: Path, foreign: bool) -> None:
     world, plan = small_task()
     chosen = foreign_plan(world, plan) if foreign else plan
-    request = Request(picks=parse_picks("worst"), evaluated=500, outcomes=True, loop="open", seed=SEED)
-    done = record(world, chosen, request, tmp_path / "r.mcap")
+    request = rolling.Request(picks=rolling.parse_picks("worst"), evaluated=500, outcomes=True, loop="open", seed=SEED)
+    done = rolling.record(world, chosen, request, tmp_path / "r.mcap")
     truth = rollout_results(compile_plan(chosen, world), seed=SEED, count=500)
     found = read_outcomes(tmp_path / "r.mcap")
     assert np.array_equal(found.visited, truth.visited)
@@ -178,25 +166,25 @@ def test_the_open_loop(tmp_path: Path, foreign: bool) -> None:
 def test_it_says_that_it_writes(tmp_path: Path) -> None:
     world, plan = small_task()
     told: list[str] = []
-    record(world, plan, Request(ids=(3, 4), seed=SEED), tmp_path / "r.mcap", doing=told.append)
+    rolling.record(world, plan, rolling.Request(ids=(3, 4), seed=SEED), tmp_path / "r.mcap", doing=told.append)
     assert told == ["writing rollout 1 of 2", "writing rollout 2 of 2", "closing the file"]
 
 
 @pytest.mark.parametrize(
     ("request_", "said"),
     [
-        (Request(), "nothing to record"),
-        (Request(ids=(1,), step_seconds=0.0), "step_seconds=0.0"),
-        (Request(ids=(1,), step_seconds=501.0), "step_seconds=501.0"),
-        (Request(picks=parse_picks("best")), "picks"),
-        (Request(ids=(1,), outcomes=True), "outcomes"),
-        (Request(ids=(1,), first_only=True, loop="open"), "first_only=True"),
+        (rolling.Request(), "nothing to record"),
+        (rolling.Request(ids=(1,), step_seconds=0.0), "step_seconds=0.0"),
+        (rolling.Request(ids=(1,), step_seconds=501.0), "step_seconds=501.0"),
+        (rolling.Request(picks=rolling.parse_picks("best")), "picks"),
+        (rolling.Request(ids=(1,), outcomes=True), "outcomes"),
+        (rolling.Request(ids=(1,), first_only=True, loop="open"), "first_only=True"),
     ],
 )
-def test_requests_that_make_no_sense(tmp_path: Path, request_: Request, said: str) -> None:
+def test_requests_that_make_no_sense(tmp_path: Path, request_: rolling.Request, said: str) -> None:
     world, plan = small_task()
     with pytest.raises(UsageError, match=said):
-        record(world, plan, request_, tmp_path / "r.mcap")
+        rolling.record(world, plan, request_, tmp_path / "r.mcap")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -217,11 +205,11 @@ def test_a_rollout_that_is_not_all_there(tmp_path: Path) -> None:
 
 
 def test_the_scenario_goes_along_and_no_other_input(tmp_path: Path) -> None:
-    assert b"map:" in (scenario_text("example:terrain") or b"")
-    assert scenario_text("example:paper") is None
+    assert b"map:" in (rolling.scenario_text("example:terrain") or b"")
+    assert rolling.scenario_text("example:paper") is None
     from importlib.resources import files
 
-    assert scenario_text(str(files("analysis.examples") / "building_map.yaml")) is None
+    assert rolling.scenario_text(str(files("analysis.examples") / "building_map.yaml")) is None
 
 
 def test_settings_are_checked_value_by_value() -> None:
@@ -235,14 +223,6 @@ def test_settings_are_checked_value_by_value() -> None:
                 contents.read_settings(contents.json_bytes(good | {name: value}), "f")
     with pytest.raises(InputError, match="invalid JSON"):
         contents.read_settings(b"[" * 100_000, "f")
-
-
-def test_first_visits_alone(tmp_path: Path) -> None:
-    world, plan = small_recording(tmp_path / "r.mcap", first_only=True)
-    loop = compile_closed_loop(plan, world, first_only=True)
-    traces = list(closed_loop_engine(loop, SEED, "numba").traces([3, 4]))
-    assert [one.trace for one in read_rollouts(tmp_path / "r.mcap")] == traces
-    assert replace(Request(), first_only=True).first_only
 
 
 # Every channel of a recording, decoded by other people's readers, and held against the world and the trace.
@@ -595,7 +575,7 @@ def test_another_planners_plan_and_the_open_loop(tmp_path: Path) -> None:
     world, plan = small_task()
     for name, one in (("own", plan), ("foreign", foreign_plan(world, plan))):
         path = tmp_path / f"{name}.mcap"
-        record(world, one, Request(ids=(0, 7), loop="open", seed=SEED, made=False), path)
+        rolling.record(world, one, rolling.Request(ids=(0, 7), loop="open", seed=SEED, made=False), path)
         by_topic = decoded(path)
         assert ("/areas" in by_topic) == (name == "own")
         traces = [open_loop_trace(one, world, SEED, rollout) for rollout in (0, 7)]
@@ -608,7 +588,7 @@ def test_what_robots_learn_and_when(tmp_path: Path) -> None:
     known, seen_far, path = small_task()[0], 2, tmp_path / "dark.mcap"
     world = known.with_prior_map(0.05, sensor_range=seen_far)
     plan = make_plan(world, world.starts, Settings())
-    record(world, plan, Request(ids=(3,), seed=SEED), path)
+    rolling.record(world, plan, rolling.Request(ids=(3,), seed=SEED), path)
     (trace,), by_topic = trace_rollouts(compile_closed_loop(plan, world), SEED, [3]), decoded(path)
     truth = cells_of(by_topic["/map/truth"][0][1], "<f4", known)[..., 0]
     assert np.array_equal(truth, np.nan_to_num(known.threat))
@@ -747,9 +727,9 @@ def results(rows: list[tuple[int, int, int]], start: int) -> RolloutResults:
     return RolloutResults(start, visited, survived, time, alive, alive.astype(np.int8))
 
 
-def picker_of(rows: list[tuple[int, int, int]], cut: int) -> Picker:
+def picker_of(rows: list[tuple[int, int, int]], cut: int) -> rolling.Picker:
     """All rows, handed over in parts of `cut`."""
-    picker = Picker(5)
+    picker = rolling.Picker(5)
     for start in range(0, len(rows), cut):
         picker.add(results(rows[start : start + cut], start))
     return picker
@@ -759,7 +739,7 @@ def picker_of(rows: list[tuple[int, int, int]], cut: int) -> Picker:
 def test_a_quantile_is_the_best_of_those_with_that_coverage(
     rows: list[tuple[int, int, int]], cut: int, q: float
 ) -> None:
-    chosen = picker_of(rows, cut).choose(Pick("quantile", q), 0)
+    chosen = picker_of(rows, cut).choose(rolling.Pick("quantile", q), 0)
     at = sorted(visited for visited, _, _ in rows)[max(int(np.ceil(q * len(rows) - 1e-9)) - 1, 0)]
     same = [(-survived, time, number) for number, (visited, survived, time) in enumerate(rows) if visited == at]
     assert chosen == min(same)[2]
@@ -770,38 +750,35 @@ def test_worst_and_best(rows: list[tuple[int, int, int]], cut: int) -> None:
     picker = picker_of(rows, cut)
     worst = min((visited, survived, -time, number) for number, (visited, survived, time) in enumerate(rows))
     best = min((-visited, -survived, time, number) for number, (visited, survived, time) in enumerate(rows))
-    assert picker.choose(*parse_picks("worst"), 0) == worst[3]
-    assert picker.choose(*parse_picks("best"), 0) == best[3]
+    assert picker.choose(*rolling.parse_picks("worst"), 0) == worst[3]
+    assert picker.choose(*rolling.parse_picks("best"), 0) == best[3]
 
 
 def test_random_is_any_of_them_by_the_seed_alone() -> None:
     rows = [(1, 1, 1)] * 10
-    chosen = [picker_of(rows, 3).choose(Pick("random", None), seed) for seed in range(300)]
-    assert chosen == [picker_of(rows, 7).choose(Pick("random", None), seed) for seed in range(300)]
+    chosen = [picker_of(rows, 3).choose(rolling.Pick("random", None), seed) for seed in range(300)]
+    assert chosen == [picker_of(rows, 7).choose(rolling.Pick("random", None), seed) for seed in range(300)]
     assert set(chosen) == set(range(10))
 
 
 def test_names() -> None:
-    picks = parse_picks("worst,median,best,random,quantile:0.05,quantile:.9")
+    picks = rolling.parse_picks("worst,median,best,random,quantile:0.05,quantile:.9")
     assert [pick.q for pick in picks] == [0.0, 0.5, 1.0, None, 0.05, 0.9]
-    assert len(parse_picks("best,best")) == 1
-
-
-@pytest.mark.parametrize(
-    "text", ["", "Best", "quantile", "quantile:", "quantile:0", "quantile:1", "quantile:1.5", "quantile:-.5", "best,",
-             "quantile:nan", "quantile:1e-3"],
-)  # fmt: skip
-def test_wrong_names_are_refused(text: str) -> None:
-    with pytest.raises(UsageError, match=r"^pick "):
-        parse_picks(text)
+    assert len(rolling.parse_picks("best,best")) == 1
 
 
 def test_ids() -> None:
-    assert parse_ids("0,5,7-9,8", 10) == (0, 5, 7, 8, 9)
-    assert parse_ids("4294967295", 10) == (2**32 - 1,)
+    assert rolling.parse_ids("0,5,7-9,8", 10) == (0, 5, 7, 8, 9)
+    assert rolling.parse_ids("4294967295", 10) == (2**32 - 1,)
 
 
-@pytest.mark.parametrize("text", ["", "a", "-1", "5-3", "1,", "1.5", "4294967296", "0-10", "0-99999999999", "٣"])
-def test_wrong_ids_are_refused(text: str) -> None:
-    with pytest.raises(UsageError, match=r"^ids "):
-        parse_ids(text, 10)
+NO_PICKS = "|Best|quantile|quantile:|quantile:0|quantile:1|quantile:1.5|quantile:-.5|best,|quantile:nan|quantile:1e-3"
+NO_IDS = "|a|-1|5-3|1,|1.5|4294967296|0-10|0-99999999999|٣"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [*product(["pick"], NO_PICKS.split("|")), *product(["ids"], NO_IDS.split("|"))]
+)
+def test_wrong_names_and_ids_are_refused(name: str, text: str) -> None:
+    with pytest.raises(UsageError, match=rf"^{name} "):
+        rolling.parse_picks(text) if name == "pick" else rolling.parse_ids(text, 10)

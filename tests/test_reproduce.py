@@ -11,21 +11,8 @@ from helpers import answer_of, uniform
 from page_reader import refused
 from PIL import Image
 
+from analysis import reproduction as paper
 from analysis.cli.app import run
-from analysis.experiments.reproduction import (
-    COVERAGE,
-    SETTINGS,
-    Finding,
-    Point,
-    Reproduction,
-    Setting,
-    StatementVerdict,
-    columns_of,
-    controlled_means,
-    findings,
-    reproduce,
-    runs_of,
-)
 from analysis.statistics.estimates import over_maps
 from analysis.statistics.variance_reduction import expected_pieces, pieces
 from analysis.sweeps.store import Run, Store
@@ -42,7 +29,7 @@ from planner.world.world import World
 # `mrac-jax check --paper`: the same points however they are run, from the right maps, and the command.
 
 
-def columns(answer: Reproduction) -> dict:
+def columns(answer: paper.Reproduction) -> dict:
     return {
         (setting, *key): value.tolist()
         for setting, point in answer.points.items()
@@ -51,8 +38,8 @@ def columns(answer: Reproduction) -> dict:
 
 
 def test_points_are_those_of_the_maps_rolled_out_by_hand() -> None:
-    answer = reproduce("fig4", maps=2, rollouts=30, seed=5, processes=1)
-    assert (answer.maps, list(answer.points)) == (2, list(SETTINGS["fig4"]))
+    answer = paper.reproduce("fig4", maps=2, rollouts=30, seed=5, processes=1)
+    assert (answer.maps, list(answer.points)) == (2, list(paper.SETTINGS["fig4"]))
     for setting, point in answer.points.items():
         for number, seed in enumerate((5, 6)):
             world = random_world(20, 20, ThreatPattern("contiguous", seed=seed))
@@ -74,8 +61,8 @@ def test_points_are_those_of_the_maps_rolled_out_by_hand() -> None:
 
 def test_maps_are_put_right_by_what_all_of_them_tell_of_luck() -> None:
     """Least squares over the single rollouts of all maps, with a level for each map, gives the same means."""
-    [setting, _], maps, rollouts = SETTINGS["fig4"], 6, 300
-    point = reproduce("fig4", maps=maps, rollouts=rollouts, processes=1).points[setting]
+    [setting, _], maps, rollouts = paper.SETTINGS["fig4"], 6, 300
+    point = paper.reproduce("fig4", maps=maps, rollouts=rollouts, processes=1).points[setting]
     y, luck = [], []
     for seed in range(maps):
         world = random_world(20, 20, ThreatPattern("contiguous", seed=seed))
@@ -95,14 +82,14 @@ def test_intervals_over_maps_hold_and_the_control_does_not_bend_them() -> None:
     """240 samples of 25 maps: each interval holds the mean of all 6,000 as often as it says (3 standard errors below
     .95); the mean of all samples differs from that without the control by no more than 4 standard errors."""
     group, groups = 25, 240
-    answer = reproduce("fig4", maps=group * groups, rollouts=50, seed=10**6)
+    answer = paper.reproduce("fig4", maps=group * groups, rollouts=50, seed=10**6)
     for setting, point in answer.points.items():
         for loop in ("closed", "first"):
             for figure in ("visited", "survived", "time"):
                 raw, found = point.columns["run", loop, figure], []
                 for begin in range(0, len(raw), group):
                     sample = {key: column[begin : begin + group] for key, column in point.columns.items()}
-                    controlled_means(sample, 50)
+                    paper.controlled_means(sample, 50)
                     found.append((sample["mean", loop, figure], over_maps(sample["mean", loop, figure])))
                 held = np.mean([one.ci95[0] <= raw.mean() <= one.ci95[1] for _, one in found])
                 moved = np.concatenate([means for means, _ in found]) - raw
@@ -112,16 +99,16 @@ def test_intervals_over_maps_hold_and_the_control_does_not_bend_them() -> None:
 
 @pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_no_point_depends_on_how_it_was_run(tmp_path: Path, processes: int) -> None:
-    one = reproduce("fig7", maps=2, rollouts=8, processes=1)
+    one = paper.reproduce("fig7", maps=2, rollouts=8, processes=1)
     with Store.open(tmp_path / "s.db") as store:
-        two = reproduce("fig7", maps=1, rollouts=4, store=store, processes=1)
-        again = reproduce("fig7", maps=2, rollouts=8, store=store, processes=processes)
+        two = paper.reproduce("fig7", maps=1, rollouts=4, store=store, processes=1)
+        again = paper.reproduce("fig7", maps=2, rollouts=8, store=store, processes=processes)
         assert again.finished.reused == 2 * 8 * 4
-        third = reproduce("fig7", maps=2, rollouts=8, store=store, processes=1)
+        third = paper.reproduce("fig7", maps=2, rollouts=8, store=store, processes=1)
         assert (third.finished.rollouts, third.finished.reused) == (0, 2 * 2 * 8 * 8)
     assert columns(one) == columns(again) == columns(third)
     assert two.maps == 1
-    assert one.points[Setting("contiguous", 8, 0.0)].estimate("closed", "visited").mean == 1.0
+    assert one.points[paper.Setting("contiguous", 8, 0.0)].estimate("closed", "visited").mean == 1.0
 
 
 FEW = ["--maps", "2", "--rollouts", "4", "--processes", "1"]
@@ -145,7 +132,7 @@ def test_the_command_prints_saves_and_is_json(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_interrupted_leaves_whole_maps(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    from analysis.experiments import reproduction as module
+    from analysis import reproduction as module
 
     real, taken = module._Collected.take, []
 
@@ -181,7 +168,7 @@ def test_wrong_usage_is_one_line_and_status_2(words: str, said: str, capsys: pyt
 
 def test_maps_out_of_range_are_refused() -> None:
     with pytest.raises(UsageError, match="maps="):
-        reproduce("fig4", maps=0, rollouts=1)
+        paper.reproduce("fig4", maps=0, rollouts=1)
 
 
 # The paper's statements against made-up points whose answers are known.
@@ -189,28 +176,30 @@ def test_maps_out_of_range_are_refused() -> None:
 MAPS = 200
 
 
-def point(coverage: float, time: float, robots: int = 8, ratio: float = 0.25, kind: str = "contiguous") -> Point:
+def point(coverage: float, time: float, robots: int = 8, ratio: float = 0.25, kind: str = "contiguous") -> paper.Point:
     """A point whose maps scatter by 10 points of coverage and 20 steps around these means, the same for every point."""
     noise = uniform(1, np.arange(MAPS), 0, 0) - 0.5
     noise -= noise.mean()
-    means = {(loop, figure): coverage + 0.2 * noise for loop in ("closed", "first", "open") for figure in COVERAGE}
+    means = {
+        (loop, figure): coverage + 0.2 * noise for loop in ("closed", "first", "open") for figure in paper.COVERAGE
+    }
     means |= {(loop, "time"): time + 40 * noise * (1 + 0.1 * robots) for loop in ("closed", "first", "open")}
     means["ideal", "visited"] = np.minimum(means["closed", "visited"] + 0.1, 1.0)
     columns = {("mean", *key): value for key, value in means.items()}
     columns |= {("run", *key): value for key, value in means.items()}
     columns |= {("square", *key): value**2 + 0.01 for key, value in means.items()}
-    return Point(kind, robots, ratio, columns, {}, 100)
+    return paper.Point(kind, robots, ratio, columns, {}, 100)
 
 
-def verdicts(*points: Point) -> dict[str, StatementVerdict]:
-    return {f"{found.figure} {found.statement}": found.verdict for found in findings(points)}
+def verdicts(*points: paper.Point) -> dict[str, paper.StatementVerdict]:
+    return {f"{found.figure} {found.statement}": found.verdict for found in paper.findings(points)}
 
 
 def test_numbers_are_held_by_both_standard_errors() -> None:
     found = verdicts(point(0.44, 230, 1), point(0.57, 235, 2))
-    assert found["Fig. 5 1 robot: 44 % covered"] is StatementVerdict.REPRODUCED
-    assert found["Fig. 5 2 robots: 62 % covered"] is StatementVerdict.NOT_REPRODUCED
-    deviation = next(f.deviation for f in findings([point(0.57, 235, 2)]) if "62 % covered" in f.statement)
+    assert found["Fig. 5 1 robot: 44 % covered"] is paper.StatementVerdict.REPRODUCED
+    assert found["Fig. 5 2 robots: 62 % covered"] is paper.StatementVerdict.NOT_REPRODUCED
+    deviation = next(f.deviation for f in paper.findings([point(0.57, 235, 2)]) if "62 % covered" in f.statement)
     se = 0.2 * np.std(uniform(1, np.arange(MAPS), 0, 0), ddof=1) / np.sqrt(MAPS)
     run = np.sqrt(np.mean(point(0.57, 235, 2).columns["square", "closed", "visited"]) - 0.57**2) / np.sqrt(500)
     assert deviation == pytest.approx((0.57 - 0.62) / np.sqrt(se**2 + run**2 + 0.01**2 / 12))
@@ -219,9 +208,9 @@ def test_numbers_are_held_by_both_standard_errors() -> None:
 def test_directions_are_held_map_by_map() -> None:
     """The maps' common scatter is larger than these differences: only paired, they stand out."""
     found = verdicts(point(0.44, 230, 1), point(0.441, 228, 2), point(0.442, 220, 4), point(0.443, 221, 8))
-    assert found["Fig. 5 time rises from one robot to two"] is StatementVerdict.NOT_REPRODUCED
-    assert found["Fig. 5 coverage rises with every robot"] is StatementVerdict.REPRODUCED
-    assert found["Fig. 5 time falls with every robot after the second"] is not StatementVerdict.REPRODUCED
+    assert found["Fig. 5 time rises from one robot to two"] is paper.StatementVerdict.NOT_REPRODUCED
+    assert found["Fig. 5 coverage rises with every robot"] is paper.StatementVerdict.REPRODUCED
+    assert found["Fig. 5 time falls with every robot after the second"] is not paper.StatementVerdict.REPRODUCED
 
 
 def test_the_other_kind_and_the_ratios() -> None:
@@ -232,18 +221,18 @@ def test_the_other_kind_and_the_ratios() -> None:
         point(0.4, 150, 2, kind="scattered"),
     ]
     found = verdicts(*both)
-    assert found["Fig. 6 coverage is lower than in contiguous areas"] is StatementVerdict.REPRODUCED
-    assert found["Fig. 6 coverage takes longer than in contiguous areas"] is StatementVerdict.NOT_REPRODUCED
+    assert found["Fig. 6 coverage is lower than in contiguous areas"] is paper.StatementVerdict.REPRODUCED
+    assert found["Fig. 6 coverage takes longer than in contiguous areas"] is paper.StatementVerdict.NOT_REPRODUCED
     ratios = [point(1 - r, 100 + 400 * min(r, 0.15) - 300 * max(r - 0.15, 0), ratio=r) for r in (0.0, 0.1, 0.15, 0.25)]
     found = verdicts(*ratios)
-    assert found["Fig. 7 coverage falls with the ratio of threats"] is StatementVerdict.REPRODUCED
-    assert found["Fig. 7 time rises up to a ratio of 15 %"] is StatementVerdict.REPRODUCED
-    assert found["Fig. 7 time falls above 15 %"] is StatementVerdict.REPRODUCED
+    assert found["Fig. 7 coverage falls with the ratio of threats"] is paper.StatementVerdict.REPRODUCED
+    assert found["Fig. 7 time rises up to a ratio of 15 %"] is paper.StatementVerdict.REPRODUCED
+    assert found["Fig. 7 time falls above 15 %"] is paper.StatementVerdict.REPRODUCED
 
 
 def test_equal_settings_decide_nothing() -> None:
-    found = [f for f in findings([point(0.5, 200, 2), point(0.5, 200, 4)]) if "coverage rises" in f.statement]
-    assert [(f.deviation, f.verdict) for f in found] == [(0.0, StatementVerdict.UNDECIDED)]
+    found = [f for f in paper.findings([point(0.5, 200, 2), point(0.5, 200, 4)]) if "coverage rises" in f.statement]
+    assert [(f.deviation, f.verdict) for f in found] == [(0.0, paper.StatementVerdict.UNDECIDED)]
 
 
 def test_columns_of_a_map_are_those_of_its_runs() -> None:
@@ -259,7 +248,7 @@ def test_columns_of_a_map_are_those_of_its_runs() -> None:
     }
     facts |= {"robots": 4, "longest": 90, "ideal_team": None}
     run = Run("key", {}, facts, ((0, 500),), sums_of(tally))
-    columns, runs = columns_of(run, tally, "closed"), runs_of(tally, 19)
+    columns, runs = paper.columns_of(run, tally, "closed"), paper.runs_of(tally, 19)
     assert columns["controls", "closed", "visited_free"][0] == pytest.approx(columns["run", "closed", "visited_free"])
     assert columns["run", "closed", "visited_free"] == pytest.approx(results.visited.mean() / 19)
     assert columns["square", "closed", "survived"] == pytest.approx(((results.survived / 19) ** 2).mean())
@@ -287,5 +276,5 @@ def test_intervals_over_maps_are_student_s_and_wider_for_a_long_tail() -> None:
 
 def test_a_finding_names_the_worst() -> None:
     ups = [point(0.5, 200, 1), point(0.6, 200, 2), point(0.55, 200, 4)]
-    found: list[Finding] = [f for f in findings(ups) if "coverage rises" in f.statement]
+    found: list[paper.Finding] = [f for f in paper.findings(ups) if "coverage rises" in f.statement]
     assert "1 of 2 in the other direction; worst k = 2 to 4: by -5.0 +- 0.0 points" in found[0].found

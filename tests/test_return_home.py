@@ -9,15 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import ANSWERS
-from helpers import VisitLoop, assert_same_trace, load_plan, play_both_ways
+from drawn_worlds import closed_loop, expected, open_loop, persistent
+from helpers import VisitLoop, assert_same_trace, delivered, load_plan, play_both_ways
 from numpy.typing import NDArray
 from validate import validate
 
-from analysis.comparison import compare, make_side
+from analysis.comparison import compare, headline, make_side
 from analysis.estimators.trial import Trial
 from analysis.evaluation.evaluate import evaluate
 from analysis.sampling import RolloutChoices
 from analysis.search.pareto import Ladders, find_front, settings_of
+from analysis.search.start_positions import find_starts
 from analysis.search.team_size import find_size, make_goal
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError, PlanError, ScenarioError, UsageError
@@ -50,6 +52,7 @@ KINDS: list[dict[str, Any]] = [
     {"return_to": "home", "policy": "per_cell", "range": 45},
     {"return_to": "nearest", "transit": "area", "range": 50},
     {"return_to": "home", "range": 30, "recharge": 4},
+    {"return_to": "nearest", "deliver_every": 6, "policy": "per_cell"},
     {
         "return_to": "nearest",
         "range": (25, 40, 60),
@@ -121,7 +124,7 @@ def check_rules(trace: Trace, world: World, plan: Plan, found: list[dict[int, tu
 def check_way_home(trace: Trace, robot: int, turned: int, way: dict[int, tuple[int, int]], charged: set[int]) -> None:
     """From where it turned a robot goes home and nowhere else, and stays there, at least until it is charged."""
     cells, doing = trace.cells[:, robot].tolist(), trace.doing[:, robot].tolist()
-    for step in range(turned + 1, trace.time):
+    for step in range(turned, trace.time):
         if step + 1 in charged or doing[step] == Doing.DEAD:
             return
         before, after = cells[step], cells[step + 1]
@@ -199,6 +202,9 @@ def test_a_corridor_by_hand(more: dict[str, int], turns_at: int) -> None:
     assert home.mean == pytest.approx((1 - np.float32(p)) ** passed, rel=1e-6)
     assert home.at_least[1].mean == pytest.approx(home.mean) and home.at_least[0].mean == pytest.approx(1)
     assert answer.visited.cells == pytest.approx(1 + sum((1 - p) ** k for k in range(turns_at)), rel=1e-6)
+    assert answer.delivered is not None
+    for cells in (answer.delivered.cells, answer.closed_form.delivered):
+        assert cells == pytest.approx(1 + turns_at * home.mean)
 
 
 def test_a_charged_robot_goes_out_again_by_hand() -> None:
@@ -212,8 +218,18 @@ def test_a_charged_robot_goes_out_again_by_hand() -> None:
     passes = (1 - float(np.float32(p))) ** np.arange(15)
     assert answer.figures.home is not None and answer.figures.home.mean == pytest.approx(passes[14], rel=1e-6)
     assert answer.visited.cells == pytest.approx(1 + passes[:4].sum() + passes[7:11].sum(), rel=1e-6)
+    assert answer.closed_form.delivered == pytest.approx(1 + 4 * passes[7] + 4 * passes[14], rel=1e-6)
     without = make_plan(world, [[0, 4]], Settings(return_to="home", range=9))
     assert (without.outcome, len(np.unique(without.robots[0].path))) == ("no_progress", 5)
+
+
+def test_a_robot_delivers_two_cells_at_a_time_by_hand() -> None:
+    plan = make_plan(corridor(7, 0.05), [[0, 0]], Settings(return_to="home", deliver_every=2))
+    trips = ([*range(most), *range(most, 0, -1), 0] for most in (2, 4, 6))
+    assert plan.robots[0].path.tolist() == [cell for trip in trips for cell in trip]
+    answer = evaluate(corridor(7, 0.05), plan, RolloutChoices(rollouts=2000))
+    passes = (1 - float(np.float32(0.05))) ** np.array([0, 3, 10, 21])
+    assert answer.delivered is not None and answer.delivered.cells == pytest.approx(passes @ [1, 2, 2, 2])
 
 
 @pytest.mark.parametrize("number", [0, 1, 2, 3, 4, 7])
@@ -290,7 +306,11 @@ def test_a_run_goes_on_from_its_state_as_if_it_had_not_stopped() -> None:
                     continue
                 read = parse_state(state.to_json(), world, "state")
                 rest = allocated_plan(world, read.starts, Settings(**KINDS[number]), read)
-                again = VisitLoop(rest, world).trace(0, rollout)
+                assert read.delivered is not None
+                assert set(read.delivered.tolist()) == delivered(trace, plan.bases, step + 1)
+                run = VisitLoop(rest, world).begin(0, rollout)
+                again = run.play().trace
+                assert run.raw.marks["delivered"] == len(delivered(trace, plan.bases))
                 np.testing.assert_array_equal(again.cells[step:], trace.cells[step:])
                 assert again.outcome == trace.outcome
                 compiled = compile_closed_loop(rest, world, tabled=seed % 2 == 0)
@@ -314,14 +334,14 @@ def test_an_operator_ends_a_driven_mission_and_a_new_battery_sends_out_again() -
     world = corridor(12, 0.01)
     mission = Mission(world, make_plan(world, [[0, 0]], Settings(return_to="home", range=8)))
     assert "return" not in driven(mission, 5) and set(driven(mission, 4)) == {"return"}
-    assert mission.outcome is None and mission._fleet.robots[0].turned
+    assert mission.outcome is None and 0 in mission._fleet.turned
     mission.report(0, cell=(0, 0), moves_left=24)
     assert set(driven(mission, 4)) == {"hold", "travel"}
     mission.call_off()
     assert set(driven(mission, 3)) == {"return"}
     while mission.outcome is None:
         driven(mission, 1)
-    assert mission.outcome == Outcome.ENDED_BY_OPERATOR and mission._fleet.robots[0].cell == 0
+    assert mission.outcome == Outcome.ENDED_BY_OPERATOR and mission._fleet.cell(0) == 0
 
 
 def test_who_is_cut_off_from_home_goes_on_and_stays_where_it_ends(tmp_path: Any) -> None:
@@ -333,7 +353,7 @@ def test_who_is_cut_off_from_home_goes_on_and_stays_where_it_ends(tmp_path: Any)
     mission = Mission.resume(tmp_path / "now.json", world, make_plan(world, [[0, 0]], Settings(return_to="home")))
     while mission.outcome is None:
         driven(mission, 1)
-    assert mission.outcome == Outcome.COMPLETE and mission._fleet.robots[0].cell == 7
+    assert mission.outcome == Outcome.COMPLETE and mission._fleet.cell(0) == 7
 
 
 def test_worth_counts_the_way_home() -> None:
@@ -350,9 +370,10 @@ def test_worth_counts_the_way_home() -> None:
     }  # fmt: skip
 
 
-def test_the_settings_of_a_front_are_missions_that_end_at_home() -> None:
+@pytest.mark.parametrize("metric", ["visited", "delivered"])
+def test_the_settings_of_a_front_are_missions_that_end_at_home(metric: str) -> None:
     world, starts = drawn(7)
-    settings, choices = Settings(return_to="nearest"), RolloutChoices(rollouts=256, exact="never")
+    settings, choices = Settings(return_to="nearest"), RolloutChoices(rollouts=256, exact="never", metric=metric)
     ladders = Ladders(risk_caps=(), robot_values=(), landmarks=(0.5,))
     front = find_front(world, starts, settings, choices, ladders=ladders)
     ended = [point for point in front.points if point.setting.deadline is not None]
@@ -362,7 +383,7 @@ def test_the_settings_of_a_front_are_missions_that_end_at_home() -> None:
         tally, singles = run_range(compile_closed_loop(plan, world), 0, 0, 256, singles=True)
         assert singles is not None and singles.time.max() <= (point.setting.deadline or 0)
         np.testing.assert_array_equal(singles.home, singles.alive)
-        mean = (tally.visited @ np.arange(len(tally.visited))) / 256 / tally.accessible
+        mean = (getattr(tally, metric) @ np.arange(len(tally.visited))) / 256 / tally.accessible
         assert point.coverage.mean == pytest.approx(mean, abs=1e-9)
 
 
@@ -436,6 +457,35 @@ def test_all_that_can_happen_to_teams_that_come_home(number: int) -> None:
     error = np.sqrt(np.array(home) * (1 - np.array(home)) / 4096)
     assert (np.abs(tally.home / 4096 - home) <= 5 * error + 1e-9).all()
     play_both_ways(plan, world, number, 4)
+    if world.phases is not None or number > 9:
+        return
+    p = np.nan_to_num(world.threat).ravel().astype(np.float64)
+    *_, brought = expected(closed_loop(plan, world), lambda chance, _, cell: chance(p[cell]))
+    assert tree.covered("delivered") == pytest.approx((brought, brought)) and brought < visited
+    *_, brought = expected(open_loop(plan, world), lambda chance, _, cell: chance(p[cell]))
+    assert open_loop_exact(plan, world).delivered == pytest.approx(brought)
+    hidden = world.with_latent_hazard("persistent", np.where(world.free, 0.5, np.nan), 2 * world.threat)
+    plan = replace(make_plan(hidden, starts, Settings()), robots=plan.robots, settings=plan.settings)
+    *_, brought = expected(open_loop(plan, world), persistent(np.where(p > 0, 0.5, 0.0), 2 * p))
+    assert open_loop_exact(plan, hidden).delivered == pytest.approx(brought)
+
+
+def test_teams_compared_by_cells_delivered() -> None:
+    """From the left one robot delivers its cell, and three more with chance .25, of four."""
+    world, choices = World.create([[0, 0.5, 0, 0]]), RolloutChoices(rollouts=4096, metric="delivered")
+    home = Settings(return_to="home")
+    size = find_size(world, home, make_goal(0.4, None, False, "delivered", 2), choices)
+    assert size.robots == 1 and size.points[0].coverage is not None
+    assert size.points[0].coverage.mean == pytest.approx(1.75 / 4)
+    found = find_starts(world, 1, home, choices, depot=True, candidates=[[0, 0], [0, 2]])
+    assert found.starts.tolist() == [[0, 2]]  # from there only the first cell is beyond the threat
+    far, near = (make_side(world, make_plan(world, [start], home), choices) for start in ([0, 0], [0, 2]))
+    answer = compare(far, near)
+    assert answer.figures[-1] == "delivered" and "delivers" in headline(answer) and answer.ahead > answer.behind == 0
+    assert answer.mean(far, "delivered") == pytest.approx(1.75 / 4, abs=0.02)
+    one, two = (run_range(compile_closed_loop(far.plan, world), 0, start, 9)[0] for start in (0, 9))
+    assert (one + two).delivered.sum() == 18
+    assert not len((one + replace(two, delivered=two.delivered[:0])).delivered)  # of a store that lacks them
 
 
 # Range: robots that make so many moves and then stay (SPEC section 12).

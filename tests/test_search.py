@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from helpers import after, answer_of, error_of
 from page_reader import Reader
+from test_threats import square
 
 import mrac_jax as mrac
 from analysis.inputs import Asked, load_task
@@ -36,7 +37,7 @@ from planner.make_plan import make_plan
 from planner.policies import RULES
 from planner.rollout_sampling import Luck
 from planner.rollouts.closed_loop import compile_closed_loop
-from planner.rollouts.single_run import PythonLoop, SingleRun, play
+from planner.rollouts.single_run import PythonLoop, SingleRun
 from planner.settings import Choices, Settings
 from planner.world.scenario import load_input
 from planner.world.world import World
@@ -119,9 +120,8 @@ def test_where_cells_are_worth_something_it_goes_by_value(depot: bool) -> None:
 @pytest.mark.parametrize("depot", [True, False])
 def test_what_is_simulated_is_what_the_simulator_as_python_says(depot: bool) -> None:
     answer = find_starts(WORLD, 2, Settings(), CHOICES, depot=depot, candidates=GIVEN)
-    assert answer.starts.shape == (2, 2) and answer.rolled - sum(p.rollouts for p in answer.places) == RUNS * (
-        1 + (answer.best != answer.here)
-    )
+    fresh = answer.rolled - sum(place.rollouts for place in answer.places)
+    assert answer.starts.shape == (2, 2) and fresh == RUNS * (1 + (answer.best != answer.here))
     for place in answer.places:
         mean = visited_from(place.starts, range(place.rollouts)).sum(axis=1).mean()
         assert place.coverage is not None and place.coverage.mean * answer.cells == pytest.approx(mean)
@@ -136,16 +136,14 @@ def test_what_is_simulated_is_what_the_simulator_as_python_says(depot: bool) -> 
     assert best.coverage == max((place.coverage for place in tried if place.coverage), key=lambda one: one.mean)
 
 
+ISLANDS = np.where(np.arange(9) % 3 == 0, 0.5, 0.0) * np.ones((3, 1))
+ISLANDS[:, 0] = 0
+
+
 def test_free_starts_are_spread_over_sites() -> None:
-    walled = np.zeros((3, 9))
-    walled[:, 3], walled[:, 6] = 0.5, 0.5
-    answer = mrac.starts(World.create(walled), 3, rollouts=32)
+    answer = mrac.starts(World.create(ISLANDS), 3, rollouts=32)
     assert sorted(col // 3 for _, col in answer.starts.tolist()) == [0, 1, 2]
     assert answer.chosen.coverage is not None and answer.chosen.coverage.mean > 0.75
-
-
-ISLANDS = np.zeros((3, 9))
-ISLANDS[:, 3], ISLANDS[:, 6] = 0.5, 0.5
 
 
 def test_where_the_team_stands_and_the_best_depot_are_in_the_race_to_the_end() -> None:
@@ -163,11 +161,8 @@ def test_where_the_team_stands_and_the_best_depot_are_in_the_race_to_the_end() -
     assert " more than from the starts of the input" in starts_summary(answer) and answer.to_json()["gain"]["mean"] > 0
     for said in (starts_summary(answer), next(starts_findings(answer))):
         assert " % " in said and " ± " in said and "95 %" not in said, "% is a share of the cells"
-    assert any(
-        " ±: half the 95 % interval, in brackets its ends;" in note
-        for part in starts_report(answer).parts
-        for note in part.notes
-    )
+    notes = [note for part in starts_report(answer).parts for note in part.notes]
+    assert any(" ±: half the 95 % interval, in brackets its ends;" in note for note in notes)
 
 
 def test_nothing_worse_is_recommended() -> None:
@@ -357,7 +352,7 @@ def rolled_out(planned: World, true: World, ids: range) -> np.ndarray:
     robot_value = np.ones(true.threat.size) if true.value is None else true.value.ravel()
     plan = make_plan(planned, WORLD_CLEAR.starts, Settings())
     loop = compile_closed_loop(plan, planned, interpreted=True)
-    runs = [play(SingleRun(loop, hit=Luck(true, 3, rollout).hits)) for rollout in ids]
+    runs = [SingleRun(loop, hit=Luck(true, 3, rollout).hits).play() for rollout in ids]
     return np.mean([[one.visited.sum(), (~one.alive).sum(), one.visited @ robot_value] for one in runs], axis=0)
 
 
@@ -436,11 +431,10 @@ def overlapping(folder: Path) -> str:
     ground[:, 7] = np.nan
     World.create(ground).save(folder / "map.npz", force=True)
     fields = {"wide": (2, 1, 6, 4, 0.2), "inner": (3, 2, 5, 3, 0.5), "beyond": (8, 0, 9, 6, 0.4)}
-    features = []
-    for name, (west, south, east, north, p) in fields.items():
-        corners = [[west, south], [east, south], [east, north], [west, north], [west, south]]
-        shape = {"type": "Polygon", "coordinates": [corners]}
-        features.append({"type": "Feature", "properties": {"name": name, "p": p}, "geometry": shape})
+    features = [
+        {"type": "Feature", "properties": {"name": name, "p": p}, "geometry": square(*sides)}
+        for name, (*sides, p) in fields.items()
+    ]
     (folder / "fields.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
     (folder / "points.csv").write_text("x,y,strength\n6.5,5.5,0.3\n")
     (folder / "site.yaml").write_text(
@@ -638,9 +632,8 @@ def test_hidden_is_what_robots_meet_who_believe_the_old_map(attacked: Attack) ->
     """A hidden truth (docs/unknown.md), on the very rollouts that were compared."""
     told = attacked.world
     met = [told.with_true_map(world) for world in (attacked.known_world, attacked.hidden_world)]
-    base, *others = (
-        make_singles(world, mrac.plan(world), attacked.choices)(RUNS_ATTACK, RUNS_ATTACK) for world in (told, *met)
-    )  # fmt: skip
+    rolls = (make_singles(world, mrac.plan(world), attacked.choices) for world in (told, *met))
+    base, *others = (roll(RUNS_ATTACK, RUNS_ATTACK) for roll in rolls)
     for gain, other in zip((attacked.known.hidden, attacked.hidden.hidden), others, strict=True):
         assert gain is not None and gain.rollouts == RUNS_ATTACK
         assert gain.cells.mean == pytest.approx(np.mean(base.visited.astype(float) - other.visited))

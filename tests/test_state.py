@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import VisitLoop
+from helpers import VisitLoop, paths_of
 from oracle_simulator import Paper
 from oracle_tree import Tree, exactly
 from PIL import Image
@@ -62,15 +62,15 @@ def test_a_rollout_goes_on_as_if_it_had_not_been_cut(more: dict[str, Any], seeds
             for step in STEPS[(seed + rollout) % 2 :: 2]:
                 state = whole.state_at(step, seed, rollout)
                 if state is None:
-                    assert uncut.time <= step
+                    assert uncut.step <= step
                     continue
                 cuts += 1
                 rest = rest_of(world, state, **more)
                 run = VisitLoop(rest, world).run(seed, rollout)
-                assert (run.outcome, run.time) == (uncut.outcome, uncut.time)
+                assert (run.outcome, run.step) == (uncut.outcome, uncut.step)
                 for name in ("visited", "survived", "alive"):
                     np.testing.assert_array_equal(getattr(run, name), getattr(uncut, name))
-                for before, after in zip(uncut.paths, run.paths, strict=True):
+                for before, after in zip(paths_of(uncut), paths_of(run), strict=True):
                     np.testing.assert_array_equal(before[step + 1 :], after[step + 1 :])
                 python = PythonLoop(rest, world)
                 run = python.run(seed, rollout)
@@ -78,7 +78,7 @@ def test_a_rollout_goes_on_as_if_it_had_not_been_cut(more: dict[str, Any], seeds
                 tally, singles = run_range(loop, seed, rollout, 4, singles=True, threads=1)
                 assert singles is not None
                 found = [int(getattr(singles, name)[0]) for name in ("visited", "survived", "time", "alive", "outcome")]
-                assert found == [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum(), run.outcome]
+                assert found == [run.visited.sum(), run.survived.sum(), run.step, run.alive.sum(), run.outcome]
                 for trace in trace_rollouts(loop, seed, (rollout, rollout + 1)):
                     assert trace == python.trace(seed, trace.rollout), (seed, rollout, step)
                     frames = make_frames(trace, state)
@@ -229,8 +229,8 @@ BAD: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "no cell": (lambda data: data["robots"][0].pop("cell"), r"`robots\[0\].cell` is missing"),
     "unknown status": (_set("robots", 1, "status", "asleep"), "status` is 'asleep'"),
     "lost and moving": (lambda data: _busy(data, "status", "dead"), "both lost and moving"),
-    "off the map": (_set("visited", [100_000]), "no cell of the map"),
-    "negative cell": (_set("robots", 0, "cell", -1), "no cell of the map"),
+    "off the map": (_set("visited", [100_000]), "off the map"),
+    "negative cell": (_set("robots", 0, "cell", -1), "off the map"),
     "a cell twice": (_set("visited", [[0, 0], [0, 0]]), "twice|obstacle"),
     "a jump": (lambda data: _busy(data, "ahead", [0, 40]), "jumps|obstacle"),
     "nothing ahead": (lambda data: _busy(data, "ahead", []), "nothing is ahead"),

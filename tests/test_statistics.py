@@ -52,6 +52,7 @@ from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import longest_mission, longest_run
 from planner.errors import UsageError
 from planner.failure_model import tolerances
+from planner.json_objects import as_json
 from planner.make_plan import make_plan
 from planner.rollouts.engine import Engine, Rolling, make_engine, run_chunks, run_with_threshold_sums
 from planner.rollouts.threshold_classes import CLASSES_A_NAT, COLUMNS, classes_by_threshold, sums_by_threshold
@@ -517,8 +518,8 @@ def test_the_deadline_s_and_other_threats_have_it_too() -> None:
     answer = evaluate(world, plan, choices, threat_scale=(0.5,))
     (scaled,), deadline = answer.outputs["threat_scale"].scaled, answer.outputs["deadline"]
     for tally, mine, least in (
-        (scaled.tally, scaled.as_json()["coverage"]["visited"]["se"], 1.5),
-        (deadline.tally, deadline.as_json()["visited"]["se"], 1.0),
+        (scaled.tally, as_json(scaled)["coverage"]["visited"]["se"], 1.5),
+        (deadline.tally, as_json(deadline)["visited"]["se"], 1.0),
     ):
         plain = replace(tally, by_threshold=np.zeros(0, dtype=np.int64))
         assert mine < tally_mean(plain, "visited", 1.0 / tally.accessible).se / least

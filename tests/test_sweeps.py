@@ -29,25 +29,10 @@ from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import Estimate
 from analysis.statistics.variance_reduction import BESIDE, expected_pieces, pieces
 from analysis.sweeps import report
+from analysis.sweeps import results as pooling
 from analysis.sweeps import results as rows
 from analysis.sweeps.cases import Generated, Places, Written
 from analysis.sweeps.engine import Done, Job, run_cases
-from analysis.sweeps.results import (
-    DIFFERENCES,
-    KEPT,
-    Moments,
-    Part,
-    Row,
-    Setting,
-    collect,
-    complete,
-    figures_of,
-    map_of,
-    moments_over,
-    select,
-    single_map,
-    single_over,
-)
 from analysis.sweeps.spec import read_spec
 from analysis.sweeps.store import Run, Store
 from analysis.sweeps.sweep import Sweep, run_sweep
@@ -165,10 +150,10 @@ def test_rows_are_put_right_by_what_all_maps_tell_of_luck(tmp_path: Path, monkey
     """Against least squares over all single rollouts, with a level for each map; differences too, also of two teams."""
     with Store() as store:
         answer = swept(tmp_path, CONTROLLED, store)
-        again = collect(store, {}).rows
+        again = pooling.collect(store, {}).rows
         with monkeypatch.context() as patch:  # whoever finished first
             patch.setattr(Store, "runs", lambda self, runs=Store.runs: iter(list(runs(self))[::-1]))
-            for mine, other in zip(collect(store, {}).rows, again, strict=True):
+            for mine, other in zip(pooling.collect(store, {}).rows, again, strict=True):
                 assert all(map(np.array_equal, vars(mine.moments).values(), vars(other.moments).values()))
     levels, means = np.repeat(np.eye(6), 200, axis=0), []
     for row in answer.rows:
@@ -206,7 +191,7 @@ def test_moments_against_numpy() -> None:
     values = np.random.default_rng(0).exponential(size=(200, 2, 2))
     values[:, 1] = 7.0
     error = np.array([[[0.1, 0.02], [0.02, 0.05]], [[0.0, 0.0], [0.0, 0.0]]])
-    moments = Moments(2, 2)
+    moments = pooling.Moments(2, 2)
     for value in values:
         moments.add(value, error, 6)
     apart = values[:, 0] - values[:, 0].mean(axis=0)
@@ -223,7 +208,7 @@ def test_moments_against_numpy() -> None:
     assert moments.within_share(1) is None and moments.within_share(0) == pytest.approx(left / right.var(ddof=1))
     moments.shared += 0.01
     assert moments.estimate(0, -np.inf, np.inf).mean == pytest.approx(values[:, 0, 0].mean())  # they share their luck
-    same = Moments(1, 1)
+    same = pooling.Moments(1, 1)
     for _ in range(10):
         same.add(np.ones((1, 1)), 0.0)
     assert same.estimate(0, 0, 1).ci95 == (pytest.approx(0.7), 1.0)  # every map so far: not a proof
@@ -249,7 +234,7 @@ def test_intervals_over_maps_hold_as_often_as_they_say(trials: int) -> None:
     for draw, mean, maps in ((random.normal, 0.0, 12), (random.exponential, 1.0, 50)):
         held = 0
         for sample in draw(size=(trials, maps)):
-            moments = Moments(1, 1)
+            moments = pooling.Moments(1, 1)
             for value in sample:
                 moments.add(value.reshape(1, 1), 0.0)
             low, high = moments.estimate(0, -np.inf, np.inf).ci95
@@ -280,7 +265,7 @@ def test_precision_on_one_map_takes_more_rollouts(tmp_path: Path) -> None:
         assert answer.reached and answer.rows[0].rollouts == 4096
         (found, _) = store.runs()
         tally = store.tally(found.key)
-        assert tally is not None and answer.rows[0].estimate("visited") == single_map(found, tally)["visited"]
+        assert tally is not None and answer.rows[0].estimate("visited") == pooling.single_map(found, tally)["visited"]
 
 
 @pytest.mark.parametrize("rollouts", [1, 20])
@@ -292,7 +277,9 @@ def test_one_generated_map_says_as_much_as_a_map_that_is_given(tmp_path: Path, r
         answer = run_sweep(spec, store, processes=1)
         (row,), (found,) = answer.rows, store.runs()
         tally = store.tally(found.key)
-        assert tally is not None and str(row.single) == str(single_map(found, tally))  # se is NaN of one rollout
+        assert tally is not None and str(row.single) == str(
+            pooling.single_map(found, tally)
+        )  # se is NaN of one rollout
         for name in ("visited", "time", "complete"):
             low, high = row.estimate(name).ci95
             assert low < high and row.estimate(name) is row.single[name]
@@ -301,7 +288,7 @@ def test_one_generated_map_says_as_much_as_a_map_that_is_given(tmp_path: Path, r
         more = run_sweep(spec, store, processes=1, precision=0.99)
         (row,) = more.rows
         assert row.maps == 2 and not row.single and more.widest < 0.99
-        assert row.estimate("visited") == row.moments.estimate(KEPT["visited"], 0.0, 1.0)
+        assert row.estimate("visited") == row.moments.estimate(pooling.KEPT["visited"], 0.0, 1.0)
 
 
 def test_the_unit_stands_with_the_mean() -> None:
@@ -546,10 +533,10 @@ def test_figures_of_a_run_are_those_of_its_tally(tmp_path: Path) -> None:
         tally = store.tally(found.key)
         assert isinstance(tally, Tally)
         values = np.repeat(np.arange(len(tally.visited)), tally.visited) / tally.accessible
-        means, errors = figures_of(found)
-        mean, squared = means[KEPT["visited"], 0], errors[KEPT["visited"], 0, 0]
+        means, errors = pooling.figures_of(found)
+        mean, squared = means[pooling.KEPT["visited"], 0], errors[pooling.KEPT["visited"], 0, 0]
         assert mean == pytest.approx(values.mean()) and squared == pytest.approx(values.var(ddof=1) / len(values))
-        mean, squared = means[KEPT["complete"], 0], errors[KEPT["complete"], 0, 0]
+        mean, squared = means[pooling.KEPT["complete"], 0], errors[pooling.KEPT["complete"], 0, 0]
         share = tally.outcomes[0] / tally.rollouts
         assert mean == share and squared == pytest.approx(share * (1 - share) / (tally.rollouts - 1))
 
@@ -570,7 +557,7 @@ def test_a_row_counts_a_map_once(tmp_path: Path) -> None:
     """Against a plain calculation: settings averaged on each map, then Student's interval over the maps."""
     with Store() as store:
         swept(tmp_path, SPEC_POOLED, store)
-        found = collect(store, {}, ["robots"])
+        found = pooling.collect(store, {}, ["robots"])
         assert [row.maps for row in found.rows] == [4, 4] and [row.rollouts for row in found.rows] == [240, 240]
         assert found.runs == 16 and found.pooled == ("risk",)
         (note,) = found.notes
@@ -578,14 +565,17 @@ def test_a_row_counts_a_map_once(tmp_path: Path) -> None:
         for row in found.rows:
             places = [{"robots": (str(row.labels["robots"]),), "map": (str(seed),)} for seed in range(4)]
             means = [
-                np.mean([figures_of(each)[0][KEPT["visited"], 0] for each in select(store, place)]) for place in places
+                np.mean(
+                    [pooling.figures_of(each)[0][pooling.KEPT["visited"], 0] for each in pooling.select(store, place)]
+                )
+                for place in places
             ]
             assert row.estimate("visited").mean == pytest.approx(np.mean(means))
             assert row.estimate("visited").se == pytest.approx(np.std(means, ddof=1) / 2)
-        everything = collect(store, {}, ["kind"]).rows
+        everything = pooling.collect(store, {}, ["kind"]).rows
         assert [(row.maps, row.rollouts) for row in everything] == [(4, 480)]
-        apart = collect(store, {}).rows
-        assert [row.maps for row in apart] == [4] * 4 and not collect(store, {}).notes
+        apart = pooling.collect(store, {}).rows
+        assert [row.maps for row in apart] == [4] * 4 and not pooling.collect(store, {}).notes
 
 
 def test_one_map_is_one_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -595,9 +585,9 @@ def test_one_map_is_one_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     path = tmp_path / "a.store"
     with Store.open(path) as store:
         swept(tmp_path, text, store)
-        rows = sorted(collect(store, {}, ["robots", "risk"]).rows, key=lambda row: str(row.labels["robots"]))
+        rows = sorted(pooling.collect(store, {}, ["robots", "risk"]).rows, key=lambda row: str(row.labels["robots"]))
         singles = [row.estimate("visited") for row in rows]
-        pooled = [row.estimate("visited") for row in collect(store, {}, ["robots"]).rows]
+        pooled = [row.estimate("visited") for row in pooling.collect(store, {}, ["robots"]).rows]
     for mean, first, second in zip(pooled, singles[::2], singles[1::2], strict=True):
         assert mean.mean == pytest.approx((first.mean + second.mean) / 2)
         assert mean.half_width == pytest.approx((first.half_width + second.half_width) / 2)
@@ -624,10 +614,10 @@ sweep: {ratio: [0.1, 0.3], "threats[0].generate.levels": [[0.1], [0.3]], seed: [
     with Store() as store:
         swept(tmp_path, text, store)
         assert len({each.facts["world"] for each in store.runs()}) == 4 and len(store) == 12
-        assert {map_of(each) for each in store.runs()} == {("input", "danger.yaml")}
-        rows = collect(store, {}, ["ratio"]).rows
+        assert {pooling.map_of(each) for each in store.runs()} == {("input", "danger.yaml")}
+        rows = pooling.collect(store, {}, ["ratio"]).rows
         assert [(row.maps, row.rollouts) for row in rows] == [(1, 120), (1, 120)]
-        assert [(row.maps, row.rollouts) for row in collect(store, {}).rows] == [(1, 60)] * 4
+        assert [(row.maps, row.rollouts) for row in pooling.collect(store, {}).rows] == [(1, 60)] * 4
 
 
 def test_inputs_are_maps(tmp_path: Path) -> None:
@@ -636,10 +626,10 @@ def test_inputs_are_maps(tmp_path: Path) -> None:
     text = "base: {robots: 1}\nrollouts: 20\nsweep: {input: [0.npz, 1.npz, 2.npz], risk: [paper, log]}"
     with Store() as store:
         swept(tmp_path, text, store)
-        (row,) = collect(store, {}, ["robots"]).rows
+        (row,) = pooling.collect(store, {}, ["robots"]).rows
         assert (row.maps, row.rollouts) == (3, 120)
-        assert row.moments.shared[KEPT["visited"]] > 0  # all three were rolled out with seed 0
-        (row,) = collect(store, {"input": ("1.npz",)}, ["robots"]).rows
+        assert row.moments.shared[pooling.KEPT["visited"]] > 0  # all three were rolled out with seed 0
+        (row,) = pooling.collect(store, {"input": ("1.npz",)}, ["robots"]).rows
         assert row.maps == 1
 
 
@@ -648,12 +638,12 @@ def test_maps_that_lack_a_setting_are_left_out(tmp_path: Path) -> None:
     with Store() as store:
         swept(tmp_path, SPEC_POOLED, store)
         swept(tmp_path, less, store)
-        found = collect(store, {}, ["robots"])
+        found = pooling.collect(store, {}, ["robots"])
         assert [row.maps for row in found.rows] == [4, 4] and found.runs == 16
         assert [note for note in found.notes if note.startswith("robots 1: 3 maps of 7 lack some")]
-        assert [row.maps for row in collect(store, {}).rows] == [7, 7, 4, 4]
+        assert [row.maps for row in pooling.collect(store, {}).rows] == [7, 7, 4, 4]
         with pytest.raises(UsageError, match=r"robots 1: no map has every risk.*by=\['robots', 'risk'\]"):
-            collect(apart(store), {}, ["robots"])
+            pooling.collect(apart(store), {}, ["robots"])
 
 
 def apart(store: Store) -> Store:
@@ -666,10 +656,10 @@ def apart(store: Store) -> Store:
     return Half()
 
 
-def part(setting: int, seed: int, mean: float, error: float) -> Part:
-    means, errors = np.zeros((len(KEPT), BESIDE)), np.zeros((len(KEPT), BESIDE, BESIDE))
+def part(setting: int, seed: int, mean: float, error: float) -> pooling.Part:
+    means, errors = np.zeros((len(pooling.KEPT), BESIDE)), np.zeros((len(pooling.KEPT), BESIDE, BESIDE))
     means[:, 0], errors[:, 0, 0] = mean, error**2
-    return Part("", (setting,), seed, 100, 0, means, errors)
+    return pooling.Part("", (setting,), seed, 100, 0, means, errors)
 
 
 TRIALS = 250
@@ -677,7 +667,7 @@ SLACK = 3 * math.sqrt(0.05 * 0.95 / TRIALS)
 """Three standard errors of a share of 95 % in so many trials."""
 
 
-def pooled(random: np.random.Generator) -> list[list[Part]]:
+def pooled(random: np.random.Generator) -> list[list[pooling.Part]]:
     """20 maps x 3 settings, which share the map and most of their luck."""
     maps = []
     for seed in range(20):
@@ -686,17 +676,17 @@ def pooled(random: np.random.Generator) -> list[list[Part]]:
     return maps
 
 
-def one_seed(random: np.random.Generator) -> list[list[Part]]:
+def one_seed(random: np.random.Generator) -> list[list[pooling.Part]]:
     """12 maps rolled out with one seed, on all of which the luck is the same."""
     luck = random.normal(0.0, 0.5)
     return [[part(0, 7, random.normal(0.0, 1.0) + luck, 0.5)] for _ in range(12)]
 
 
 @pytest.mark.parametrize(("make", "most", "wide"), [(pooled, 0.95 + SLACK, 1.15), (one_seed, 1.0, 1.25)])
-def test_intervals_over_maps_of_parts(make: Callable[..., list[list[Part]]], most: float, wide: float) -> None:
+def test_intervals_over_maps_of_parts(make: Callable[..., list[list[pooling.Part]]], most: float, wide: float) -> None:
     """They hold 95 % of the time, and are hardly wider than Student's (1.07 times the normal's of 20 maps)."""
     random = np.random.default_rng(0)
-    found = [moments_over(make(random)).estimate(KEPT["time"], -np.inf, np.inf) for _ in range(TRIALS)]
+    found = [pooling.moments_over(make(random)).estimate(pooling.KEPT["time"], -np.inf, np.inf) for _ in range(TRIALS)]
     inside = np.mean([each.ci95[0] <= 0 <= each.ci95[1] for each in found])
     spread = np.std([each.mean for each in found])
     assert 0.95 - SLACK < inside <= most
@@ -723,11 +713,11 @@ def test_intervals_of_one_map(common: bool) -> None:
     truth, inside, means, wide = sum(chances) / 2, 0, [], []
     for _ in range(trials):
         luck = random.random((2, 150, CELLS))
-        found: list[tuple[Setting, Run, Tally]] = [
+        found: list[tuple[pooling.Setting, Run, Tally]] = [
             ((chance,), RUN, tally_of(luck[0 if common else number], chance, 0))
             for number, chance in enumerate(chances)
         ]
-        estimate = single_over(found)["visited"]
+        estimate = pooling.single_over(found)["visited"]
         inside += estimate.ci95[0] <= truth <= estimate.ci95[1]
         means.append(estimate.mean)
         wide.append(estimate.half_width)
@@ -740,13 +730,13 @@ def test_seeds_of_one_setting_are_one_sample() -> None:
     luck = np.random.default_rng(3).random((3, 50, CELLS))
     tallies = [tally_of(each, 0.4, seed) for seed, each in enumerate(luck)]
     whole = tally_of(luck.reshape(150, CELLS), 0.4, 0)
-    assert single_over([((), RUN, tally) for tally in tallies]) == single_map(RUN, whole)
+    assert pooling.single_over([((), RUN, tally) for tally in tallies]) == pooling.single_map(RUN, whole)
 
 
 def test_complete() -> None:
     first, second, third = ([part(s, 0, 0.0, 0.0) for s in settings] for settings in ((0, 1), (1, 0, 1), (1,)))
-    assert complete([first, second, third]) == [first, second]
-    assert complete([third, [part(0, 0, 0.0, 0.0)]]) == []
+    assert pooling.complete([first, second, third]) == [first, second]
+    assert pooling.complete([third, [part(0, 0, 0.0, 0.0)]]) == []
 
 
 MAPS = 1500
@@ -762,24 +752,26 @@ def test_intervals_over_maps_hold_with_the_control(tmp_path: Path, kind: str, ro
     with Store() as store:
         swept(tmp_path, text + "sweep: {policy: [mrac, per_cell]}", store)
         found: dict[tuple[str, int], tuple[np.ndarray, np.ndarray]] = {
-            (str(each.what["policy"]), int(each.what["map"] or 0)): figures_of(each) for each in store.runs()
+            (str(each.what["policy"]), int(each.what["map"] or 0)): pooling.figures_of(each) for each in store.runs()
         }
     means = {name: np.mean([found[name, n][0] for n in range(MAPS)], axis=0)[:, 0] for name in ("mrac", "per_cell")}
     random, names, held, gains = np.random.default_rng(0), ("visited", "survived", "time", "alive"), [], []
     for _ in range(300):
-        rows = [Row({}), Row({})]
+        rows = [pooling.Row({}), pooling.Row({})]
         rows[1].first = rows[0].moments
         for number in random.integers(MAPS, size=60).tolist():
             one, other = (found[name, number] for name in ("mrac", "per_cell"))
             for row, mine in zip(rows, (one, other), strict=True):
                 row.add(*mine, rollouts - 1, one[0])
-        truths = [means["per_cell"][KEPT[name]] for name in names]
-        truths += [float((means["per_cell"] - means["mrac"])[KEPT[name]]) for name in DIFFERENCES]
-        estimates = [rows[1].estimate(name) for name in names] + [rows[1].difference(name) for name in DIFFERENCES]  # type: ignore[list-item]
+        truths = [means["per_cell"][pooling.KEPT[name]] for name in names]
+        truths += [float((means["per_cell"] - means["mrac"])[pooling.KEPT[name]]) for name in pooling.DIFFERENCES]
+        estimates = [rows[1].estimate(name) for name in names] + [
+            rows[1].difference(name) for name in pooling.DIFFERENCES
+        ]  # type: ignore[list-item]
         held.append(
             [low <= truth <= high for truth, (low, high) in zip(truths, (e.ci95 for e in estimates), strict=True)]
         )
-        by, spread = rows[1].moments.weights(KEPT["visited"]), rows[1].moments.within[KEPT["visited"]]
+        by, spread = rows[1].moments.weights(pooling.KEPT["visited"]), rows[1].moments.within[pooling.KEPT["visited"]]
         gains.append(spread[0, 0] / (by @ spread @ by))
     assert (np.mean(held, axis=0) >= 0.95 - 3 * math.sqrt(0.95 * 0.05 / 300)).all(), np.mean(held, axis=0)
     assert np.median(gains) > 2
@@ -842,7 +834,7 @@ SWEEPS = {
 }  # fmt: skip
 
 
-def held_against(row: Row, world: World, plan: mrac.Plan | int, *names: str) -> Evaluation:
+def held_against(row: pooling.Row, world: World, plan: mrac.Plan | int, *names: str) -> Evaluation:
     """What `evaluate` says on the row's rollouts, which is what the row says of "visited", and of `names`."""
     alone = mrac.evaluate(world, plan, rollouts=ROLLOUTS, exact="never", engine="numba", advice=False, band=False)
     known = {"visited": alone.figures.visited.mean.times(1 / alone.cells["accessible"]), "time": alone.figures.time}

@@ -17,19 +17,8 @@ from page_reader import refused
 
 from analysis.cli.app import run
 from analysis.sampling import RolloutChoices
+from analysis.sweeps import cases
 from analysis.sweeps import store as store_file
-from analysis.sweeps.cases import (
-    Case,
-    Generated,
-    Places,
-    RunResult,
-    Task,
-    Team,
-    Wanted,
-    generated_case,
-    run_key,
-    run_task,
-)
 from analysis.sweeps.report import notes_of
 from analysis.sweeps.results import collect
 from analysis.sweeps.spec import read_spec
@@ -41,16 +30,18 @@ from planner.tally import Tally
 
 # The store: keys of content, blocks that grow and never count twice, union, and clear words for every bad file.
 
-CASE = generated_case("contiguous", 0.2, 2, seed=3, size=(7, 9))
+CASE = cases.generated_case("contiguous", 0.2, 2, seed=3, size=(7, 9))
 
 
-def results_of(*ids: tuple[int, int], case: Case = CASE, model: RolloutChoices | None = None) -> list[RunResult]:
-    team, model = Places().team(case), model or RolloutChoices(seed=5)
-    return run_task(Task(case, team, (Wanted(run_key(team, model), model, ids),)))
+def results_of(
+    *ids: tuple[int, int], case: cases.Case = CASE, model: RolloutChoices | None = None
+) -> list[cases.RunResult]:
+    team, model = cases.Places().team(case), model or RolloutChoices(seed=5)
+    return cases.run_task(cases.Task(case, team, (cases.Wanted(cases.run_key(team, model), model, ids),)))
 
 
-def key_of(case: Case = CASE, model: RolloutChoices | None = None) -> str:
-    return run_key(Places().team(case), model or RolloutChoices(seed=5))
+def key_of(case: cases.Case = CASE, model: RolloutChoices | None = None) -> str:
+    return cases.run_key(cases.Places().team(case), model or RolloutChoices(seed=5))
 
 
 def test_tally_survives_packing() -> None:
@@ -82,18 +73,18 @@ def test_key_is_of_content_alone() -> None:
     assert key_of(replace(CASE, labels=(("other", 1),))) == base
     assert base != key_of(model=RolloutChoices(seed=6)) != key_of(model=RolloutChoices(seed=5, loop="open"))
     assert key_of(model=RolloutChoices(first_only=True, seed=5)) != base != key_of(replace(CASE, robots=3))
-    team = Places().team(CASE)
-    again = Team(team.world, team.starts.copy(), team.settings)
-    assert run_key(again, RolloutChoices(seed=5)) == base
+    team = cases.Places().team(CASE)
+    again = cases.Team(team.world, team.starts.copy(), team.settings)
+    assert cases.run_key(again, RolloutChoices(seed=5)) == base
     turned = replace(again, starts=team.starts[::-1].copy())
-    assert run_key(turned, RolloutChoices(seed=5)) != base or len(set(team.starts)) == 1
+    assert cases.run_key(turned, RolloutChoices(seed=5)) != base or len(set(team.starts)) == 1
 
 
 def test_key_knows_the_shape() -> None:
-    team = Places().team(Case(Generated(size=(4, 6), ratio=0, obstacles=0), starts=((0, 0),)))
-    other = Places().team(Case(Generated(size=(6, 4), ratio=0, obstacles=0), starts=((0, 0),)))
+    team = cases.Places().team(cases.Case(cases.Generated(size=(4, 6), ratio=0, obstacles=0), starts=((0, 0),)))
+    other = cases.Places().team(cases.Case(cases.Generated(size=(6, 4), ratio=0, obstacles=0), starts=((0, 0),)))
     assert team.world.sha256 == other.world.sha256
-    assert run_key(team, RolloutChoices()) != run_key(other, RolloutChoices())
+    assert cases.run_key(team, RolloutChoices()) != cases.run_key(other, RolloutChoices())
 
 
 def blocks_of(store: Store) -> list[int]:
@@ -354,7 +345,7 @@ def test_a_store_of_rollouts_drawn_visit_by_visit_names_the_release(
 
 # A damaged store: nothing is missing without a word, no error is SQLite's own, and what is intact can be saved.
 
-CASES = [generated_case("scattered", 0.2, 1, seed=seed, size=(5, 6)) for seed in range(6)]
+CASES = [cases.generated_case("scattered", 0.2, 1, seed=seed, size=(5, 6)) for seed in range(6)]
 IDS = ((0, 20), (4096, 4106), (8192, 8202))
 PAGE = 4096
 

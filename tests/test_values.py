@@ -28,13 +28,13 @@ import mrac_jax as mrac
 from analysis.estimators.trial import mean_value
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.value import Units, found_chances, value_table
-from analysis.report.result import as_json
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import Estimate, tail_mean, times_to
 from analysis.statistics.variance_reduction import LEAST, CommonThresholds
 from analysis.theory.exact import CellValues, open_loop_found
 from planner.errors import RenamedWarning, WorldError
 from planner.formatting import percent
+from planner.json_objects import as_json
 from planner.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.plan.plan import Plan
@@ -42,7 +42,6 @@ from planner.rollout_sampling import Luck
 from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.single_run import SingleRun
-from planner.rollouts.single_run import play as played
 from planner.rollouts.threshold_classes import CLASSES_A_NAT, classes_by_threshold
 from planner.settings import Settings
 from planner.simulator.state import MOST_PASSES
@@ -68,7 +67,7 @@ def survived_visits(world: World, plan: Plan, seed: int, rollout: int) -> np.nda
         passes[cell] += not stopped
         return stopped
 
-    played(SingleRun(compile_closed_loop(plan, world, interpreted=True), hit=hit))
+    SingleRun(compile_closed_loop(plan, world, interpreted=True), hit=hit).play()
     return passes
 
 
@@ -130,7 +129,7 @@ def test_the_closed_loop_against_every_pattern_of_hits(policy: str) -> None:
             passes[cell] += not stopped
             return stopped
 
-        done = played(SingleRun(loop, hit=judge))
+        done = SingleRun(loop, hit=judge).play()
         return np.stack([done.visited, 1 - (1 - world.detect.ravel()) ** passes])
 
     visited, found = expected(play, one_of([world.threat.ravel()]))
@@ -180,7 +179,7 @@ def test_search_and_clearance_are_the_same_numbers() -> None:
     answer = mrac.evaluate(world, plan, loop="open", rollouts=4096, band=False)
     value = answer.outputs.get("value")
     assert value is not None
-    said = as_json(value.as_json())
+    said = as_json(value)
     found, shares = open_loop_found(plan, world), world.value.ravel()
     assert said["search"]["success"] == pytest.approx(shares @ found)  # chances: they add up to less than 1
     assert said["search"]["success"] == pytest.approx(said["search"]["containment"] * said["search"]["detection"])

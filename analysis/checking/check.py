@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from analysis.estimators.trial import closed_truth
 from analysis.inputs import map_size
 from analysis.page.elements import Chart, Series
-from analysis.report.result import Result, json_end
+from analysis.report.result import Result
 from analysis.sampling import Exactness, RolloutChoices, make_roll_out
-from analysis.statistics.estimates import Estimate, over_maps, proportion
+from analysis.statistics.estimates import ALPHA, Estimate, over_maps, proportion
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.theory.upper_bound import any_strategy, trimmed
@@ -43,7 +43,6 @@ from analysis.utils.notes import ProgressCallback
 from analysis.utils.pool import answers, wanted_processes
 from planner.arguments import argument, whole
 from planner.errors import UsageError
-from planner.files import Json
 from planner.formatting import counted
 from planner.make_plan import make_plan
 from planner.plan.plan import Plan
@@ -84,6 +83,26 @@ class MapCheck(Result):
     seed: int = 0
     partial: bool = False
     theory: Literal["main", "all"] = "main"
+    json_keys = """
+        answer=headline robots=plan.team starts=plan.starts cells.total=world.threat.size cells.accessible=cells
+        plan.shares plan.plan_for rollouts seed alpha truth.open_loop.visited=exact.visited
+        truth.open_loop.survived=exact.survived truth.closed_loop=closed checks failing faults=faulty left_out
+    """
+
+    @property
+    def rollouts(self) -> int:
+        """Number of rollouts; 0: the closed loop is exact, or was not computed."""
+        return 0 if self.closed is None else self.closed.rollouts
+
+    @property
+    def failing(self) -> list[str]:
+        """Keys of the formulas, meanings and loops that fail."""
+        return [check.key for check in self.rows if check.verdict is Verdict.FAILS]
+
+    @property
+    def faulty(self) -> list[str]:
+        """Keys of the proven formulas that fail."""
+        return sorted({check.key for check in self.faults})
 
     @cached_property
     def cells(self) -> int:
@@ -226,67 +245,6 @@ def check_input(
     return replace(checked, seed=choices.seed, partial=partial, theory=theory)
 
 
-# A map's check as JSON.
-
-
-def check_json(checked: MapCheck) -> Json:
-    """The JSON object of `check INPUT`, without its sentence. Values are in the unit of their check."""
-    world, plan, exact, closed = checked.world, checked.plan, checked.exact, checked.closed
-    return {
-        "robots": len(plan.robots),
-        "starts": plan.starts,
-        "cells": {"total": world.threat.size, "accessible": checked.cells},
-        "shares": plan.shares,
-        "plan_for": plan.plan_for,
-        "rollouts": 0 if closed is None else closed.rollouts,
-        "seed": checked.seed,
-        "alpha": checked.alpha,
-        "truth": {
-            "open_loop": {"visited": exact.visited, "survived": exact.survived},
-            "closed_loop": None
-            if closed is None
-            else {name: truth_json(getattr(closed, name)) for name in ("visited", "survived", "some_left")},
-        },
-        "checks": [check_row(check) for check in checked.checks],
-        "failing": [check.key for check in checked.rows if check.verdict is Verdict.FAILS],
-        "faults": sorted({check.key for check in checked.faults}),
-        "left_out": checked.left_out,
-        **json_end(checked),
-    }
-
-
-def truth_json(truth: Truth) -> Json:
-    """A truth with its interval, as JSON."""
-    return {"value": truth.value, "interval": [truth.low, truth.high], "how": truth.how}
-
-
-def check_head(check: Check) -> Json:
-    """The definition of a check, as JSON."""
-    about = check.about
-    return {
-        "key": check.key,
-        "formula": about.name,
-        "reading": about.reading,
-        "paper": about.paper,
-        "proven": about.proven,
-        "direction": about.direction,
-        "unit": about.unit,
-        "meaning": check.meaning or None,
-        "loop": check.loop,
-    }
-
-
-def check_row(check: Check) -> Json:
-    """A check as JSON."""
-    return check_head(check) | {
-        "robot": check.robot,
-        "value": check.value,
-        "truth": truth_json(check.truth),
-        "verdict": check.verdict,
-        "margin": check.margin,
-    }
-
-
 # Formulas on many random worlds of the paper's kind: rate of failure, size of the error, and the worst world.
 #
 # World number i of a survey with seed S is `random_world` with seed S + i; its rollouts have the same seed (worlds and
@@ -353,6 +311,27 @@ class Row:
     verdicts: dict[Verdict, int]
     tightness: float | None
     fails: Estimate
+    json_keys = """
+        check.key formula=check.about.name check.about.reading check.about.paper check.about.proven
+        check.about.direction check.about.unit meaning=check.meaning_or_none check.loop robots worlds *verdicts
+        fails_fraction.mean=fails.mean fails_fraction.ci95=fails.ci95 worst=failure median_tightness=tightness
+    """
+
+    @property
+    def failure(self) -> dict[str, float]:
+        """The worst world by seed, with the value, the truth and the margin there."""
+        check = self.check
+        return {"seed": self.seed, "margin": check.margin, "value": check.value, "truth": check.truth.value}
+
+
+@dataclass(frozen=True)
+class Fault:
+    """The failure of a proven formula on the world with this seed."""
+
+    seed: int
+    robots: int
+    check: Check
+    json_keys = "seed robots *check"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -366,11 +345,30 @@ class Survey(Result):
     entries: tuple[Entry, ...]
     seconds: float
     partial: bool = False
+    json_keys = """
+        answer=headline worlds choices.kind size robots=choices.teams rollouts.seed rollouts=rollouts.rollouts alpha
+        rows worst=worst_worlds faults seconds
+    """
 
     @property
-    def faults(self) -> list[tuple[int, int, Check]]:
-        """(seed, robots, check) of every failure of a proven formula."""
-        return [(e.seed, e.robots, check) for e in self.entries for check in proven_failures(e.checks)]
+    def faults(self) -> list[Fault]:
+        """Every failure of a proven formula."""
+        return [Fault(e.seed, e.robots, check) for e in self.entries for check in proven_failures(e.checks)]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of the worlds, cells."""
+        return self.choices.height, self.choices.width
+
+    @property
+    def alpha(self) -> float:
+        """Error probability of the interval of one sampled figure."""
+        return ALPHA / self.choices.figures
+
+    @property
+    def worst_worlds(self) -> dict[str, dict[str, int]]:
+        """Seed of the world and size of the team with the worst failure, by key."""
+        return {key: {"seed": row.seed, "robots": row.robots} for key, row in self.worst_failures().items()}
 
     @property
     def worlds(self) -> int:

@@ -13,21 +13,18 @@ from analysis.checking.check import (
     MapCheck,
     Row,
     Survey,
-    check_head,
-    check_json,
-    check_row,
     survey_starts,
     survey_world,
 )
 from analysis.page.elements import Chart
 from analysis.report.model import CellMaps, KeyFigure, Report, Section
-from analysis.report.result import asked, json_end, map_text
+from analysis.report.result import asked, map_text
 from analysis.statistics.estimates import ALPHA, between
 from analysis.theory.verdicts import FORMULAS, Check, Direction, Truth, Verdict, badness, overall
 from analysis.utils.tables import Column, csv_text, make_table, table_of
 from planner.arguments import argument
-from planner.files import Json
 from planner.formatting import counted, in_percent, percent
+from planner.json_objects import as_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,10 +45,9 @@ UNCERTAIN = {Verdict.VACUOUS: "say nothing", Verdict.UNDECIDED: "are undecided"}
 
 def check_report(checked: MapCheck) -> Report:
     """The report of one map: all formulas in a table, their subject cell by cell, one scale in the picture."""
-    said = check_headline(checked)
     return Report(
-        "check", "check", asked(checked.world, len(checked.plan.robots), "which formulas hold?"), said,
-        lambda: {"answer": said} | check_json(checked),
+        "check", "check", asked(checked.world, len(checked.plan.robots), "which formulas hold?"),
+        check_headline(checked), partial(as_json, checked),
         findings=_check_findings(checked), figures=_check_key_figures(checked), heading=_check_heading(checked),
         parts=(
             Section("Every formula", [_check_table(checked)], _check_footnotes(checked)),
@@ -267,10 +263,9 @@ COLUMNS = (
 
 def survey_report(survey: Survey) -> Report:
     """The report of a survey: rates of failure; coverage and its bounds by size of team; all comparisons as CSV."""
-    said = survey_headline(survey)
     return Report(
-        "survey", "check --worlds", f"{survey.description}: which formulas hold?", said,
-        lambda: _json(survey, said),
+        "survey", "check --worlds", f"{survey.description}: which formulas hold?", survey_headline(survey),
+        partial(as_json, survey),
         findings=_survey_findings(survey), figures=_survey_key_figures(survey), heading=_survey_heading(survey),
         parts=(
             Section("By size of the team", figures=lambda: _charts(survey)),
@@ -298,7 +293,7 @@ def survey_headline(survey: Survey) -> str:
         f"{FORMULAS[key].title} on up to {percent(row.fails.mean)} (k = {row.robots})"
         for key, row in survey.failing.items()
     ]
-    faults = [f"{check.about.title} (seed {seed}, k = {robots})" for seed, robots, check in survey.faults]
+    faults = [f"{one.check.about.title} (seed {one.seed}, k = {one.robots})" for one in survey.faults]
     return _with_faults(said, failing, len(ours), faults)
 
 
@@ -373,7 +368,7 @@ def _survey_key_figures(survey: Survey) -> tuple[KeyFigure, ...]:
     paper, ours = ({row.check.formula for row in rows if row.check.about.paper is of} for of in (True, False))
     return (
         KeyFigure(f"{len(failing)} of {len(paper)}", "of the paper's formulas fail somewhere", "counting all readings"),
-        KeyFigure(f"{len({check.formula for _, _, check in survey.faults})}", "proven formulas fail",
+        KeyFigure(f"{len({one.check.formula for one in survey.faults})}", "proven formulas fail",
                   f"ours: {len(ours)} bounds"),
         KeyFigure(f"{sum(row.worlds for row in rows):,}", "comparisons", f"on {counted(survey.worlds, 'world')}"),
     )  # fmt: skip
@@ -394,41 +389,6 @@ def _survey_findings(survey: Survey) -> list[str]:
             f"says {check.value:.{digits}f} and the truth is {check.truth.value:.{digits}f}{unit} ({_file(key)})."
         )
     return out or ["Nothing fails on any of these worlds."]
-
-
-def _json(survey: Survey, said: str) -> Json:
-    choices = survey.choices
-    return {
-        "answer": said,
-        "worlds": survey.worlds,
-        "kind": choices.kind,
-        "size": [choices.height, choices.width],
-        "robots": list(choices.teams),
-        "seed": survey.rollouts.seed,
-        "rollouts": survey.rollouts.rollouts,
-        "alpha": ALPHA / choices.figures,
-        "rows": [_row_json(row) for row in survey.rows],
-        "worst": {key: {"seed": row.seed, "robots": row.robots} for key, row in survey.worst_failures().items()},
-        "faults": [{"seed": seed, "robots": robots, **check_row(check)} for seed, robots, check in survey.faults],
-        "seconds": survey.seconds,
-        **json_end(survey),
-    }
-
-
-def _row_json(row: Row) -> Json:
-    return check_head(row.check) | {
-        "robots": row.robots,
-        "worlds": row.worlds,
-        **{str(verdict): count for verdict, count in row.verdicts.items()},
-        "fails_fraction": {"mean": row.fails.mean, "ci95": list(row.fails.ci95)},
-        "worst": {
-            "seed": row.seed,
-            "margin": row.check.margin,
-            "value": row.check.value,
-            "truth": row.check.truth.value,
-        },
-        "median_tightness": row.tightness,
-    }
 
 
 def _csv(survey: Survey) -> str:

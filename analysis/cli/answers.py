@@ -91,7 +91,7 @@ OF_B: dict[str, Any] = {
 
 
 @command(
-    ANSWER, api.compare, THE_TEAM, "sensor_range", PLANNING, "plan", ONE_PLAN, "seconds", *OF_B, "out json",
+    ANSWER, api.compare, THE_TEAM, "sensor_range", PLANNING, "plan", ONE_PLAN, "seconds", "metric", *OF_B, "out json",
     plan="Plan file of A.",
     rollouts="Number of rollouts of each side (default: 100000).",
     precision="Stop at this half-width of the 95 % interval of the difference.",
@@ -140,8 +140,8 @@ def _side(name: str, source: str, plan: Path | None, given: Given) -> tuple[Worl
 
 
 @command(
-    ANSWER, api.front, THE_TEAM, WITHOUT_POLICY, COMPARED, "Goal: losses target", "Planning: robot_values risk_caps",
-    "plan_out out force json",
+    ANSWER, api.front, THE_TEAM, WITHOUT_POLICY, COMPARED, "Goal: losses target metric",
+    "Planning: robot_values risk_caps", "plan_out out force json",
     plan_out=option(OUTPUT, "Write the plan of the selected setting (JSON) to this file.", "path"),
     out="Write the page, the picture, the selected plan and JSON to this folder.",
 )  # fmt: skip
@@ -173,7 +173,7 @@ def front(source: INPUT, /, given: Given) -> int:
 
 @command(
     ANSWER, api.size, "target", "starts cell_size step_seconds speed", PLANNING, ONE_PLAN,
-    "Goal: confidence complete meaning most", "out json",
+    "Goal: confidence complete metric most", "out json",
     starts='Start cells, "row,col;row,col;..."; a team takes the first (default: the input\'s, else upper left).',
     out="Write the page, the picture and JSON to this folder.",
 )  # fmt: skip
@@ -208,7 +208,7 @@ def studio(source: INPUT, /, given: Given) -> int:
 
 
 @command(
-    PLACE, api.starts, "robots cell_size step_seconds speed", COMPARED, TAKING_OVER, "Goal: depot candidates",
+    PLACE, api.starts, "robots cell_size step_seconds speed", COMPARED, TAKING_OVER, "Goal: depot candidates metric",
     "scenario_out out json",
     scenario_out=option(OUTPUT, "Write the scenario with the best starts (.yaml) to this file.", "path"),
     out="Write the page, the picture, the plan and JSON to this folder.",

@@ -9,8 +9,7 @@ import signal
 import sys
 import tempfile
 import threading
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from contextvars import ContextVar
 from pathlib import Path
 from types import FrameType
@@ -25,9 +24,7 @@ if TYPE_CHECKING:
     from analysis.inputs import Asked
     from analysis.report.model import Report
     from analysis.report.result import Result
-    from analysis.utils.progress import Watch
     from planner.plan.plan import Plan
-    from planner.settings import Policy
     from planner.world.world import World
 
 
@@ -228,15 +225,6 @@ def print_json(content: object) -> None:
 
 
 # Progress of the commands; the display is in `analysis.utils.progress`.
-
-
-@contextmanager
-def show_pool_progress(things: str, policies: Iterable[Policy]) -> Iterator[Watch]:
-    """Text of the work of processes that roll out these policies; `things`: the unit that is counted."""
-    from analysis.utils.progress import compiling_elsewhere, show_progress
-
-    with compiling_elsewhere(policies), show_progress(things) as watch:
-        yield watch
 
 
 def load_or_make_plan(

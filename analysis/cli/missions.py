@@ -4,27 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from analysis import api
-from analysis.cli.console import (
-    CHECK_FAILED,
-    DONE,
-    INTERRUPTED,
-    check_files,
-    check_folder,
-    deliver,
-    load_or_make_plan,
-    may_replace,
-    output_console,
-    print_json,
-    print_plan,
-    show,
-)
+from analysis.cli import console
 from analysis.cli.options import ANY_POLICY, INPUT, PLANNING, THE_TEAM, Given, command, file, of, option
-from analysis.recording.names import SUFFIX, check_name, growing_name, layout_name, left_over, state_name
+from analysis.recording.names import SUFFIX, check_name, check_names, growing_name, layout_name, state_name
 from analysis.utils.notes import say
 from planner.errors import UsageError
 from planner.settings import OPTIONS, OUTPUT, ROLLOUTS, TIMELINE
@@ -32,7 +18,6 @@ from planner.settings import OPTIONS, OUTPUT, ROLLOUTS, TIMELINE
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from analysis.recording.record import Request
     from planner.formatting import Pace
 
 DRIVE, RECORD, TRACKS = "Drive", "Record", "Tracks"
@@ -60,9 +45,9 @@ def plan(source: INPUT, /, given: Given) -> int:
     out, waypoints, state = given.out, given.waypoints, given.state
     if given.altitude is not None and waypoints is None:
         raise UsageError("--altitude without --waypoints", fix="add --waypoints")
-    check_files(source, out, waypoints, also_read=(state,))
-    if not may_replace(out, given.force):
-        return DONE
+    console.check_files(source, out, waypoints, also_read=(state,))
+    if not console.may_replace(out, given.force):
+        return console.DONE
     form = None if waypoints is None else choose_format(waypoints, None, "waypoints")
     first = None if form is None else form.check
     world, made = given.planned(source, seconds=given.seconds, first=first)
@@ -74,11 +59,11 @@ def plan(source: INPUT, /, given: Given) -> int:
     if out is not None:
         made.save(out, force=True)
     if given.json:
-        print_json(made.to_json())
+        console.print_json(made.to_json())
     else:
-        print_plan(made, world, output_console())
+        console.print_plan(made, world, console.output_console())
     say([f"wrote {file}" for file in written])
-    return DONE
+    return console.DONE
 
 
 @command(
@@ -105,7 +90,7 @@ def export(source: INPUT, /, given: Given) -> int:
     spare = read_files(source, given.plan, given.state, given.terrain)
     written = export_mission(mission, given.out, form, spare=spare)
     say([*form.notes(mission), *(f"wrote {file}" for file in written)])
-    return DONE
+    return console.DONE
 
 
 @command(
@@ -129,15 +114,15 @@ def drive(source: INPUT, /, given: Given) -> int:
     from planner.mission.map_updates import ended
 
     state, goes_on = given.state, given.state is not None and given.state.exists()
-    check_files(source, state, suffix=".json", also_read=(given.plan,))
+    console.check_files(source, state, suffix=".json", also_read=(given.plan,))
     if sys.stdin is None:
         raise UsageError("standard input is closed", expected="reports there, a JSON object a line")
     asked = given.asked(source)
-    world, made, notes = load_or_make_plan(asked, given.plan)
+    world, made, notes = console.load_or_make_plan(asked, given.plan)
     say(notes)
     if goes_on and (over := ended(state, world, made)) is not None:
         _tell([{"type": "end", **over}], world.pace)
-        return DONE
+        return console.DONE
     mission = given.call(api.drive, world, made, plan=None, state=state if goes_on else None)
     if goes_on:
         check_team(asked, mission.robots, state)
@@ -148,7 +133,7 @@ def drive(source: INPUT, /, given: Given) -> int:
     _tell(talk.begin(), world.pace)
     for line in _lines(sys.stdin.buffer):
         _tell(talk.hear(line), world.pace)
-    return DONE
+    return console.DONE
 
 
 def _lines(stream: BinaryIO) -> Iterator[str]:
@@ -183,11 +168,12 @@ def debrief(source: INPUT, /, given: Given) -> int:
     --step-seconds, places within half a step are averaged, so that noise below half a cell adds few visits. Each
     robot's own clock counts.
     """
-    check_folder(given.out)
-    world = replace(given.asked(source), robots=None).load()
+    console.check_folder(given.out)
+    world = given.asked(source).load()
     say(world.notes)
     answer = given.call(api.debrief, world)
-    return deliver(answer, out=given.out, as_json=given.json, source=source, also_read=(given.tracks, given.plan))
+    read = (given.tracks, given.plan)
+    return console.deliver(answer, out=given.out, as_json=given.json, source=source, also_read=read)
 
 
 # Recordings.
@@ -198,25 +184,18 @@ EVALUATED = 4096
 
 
 @command(
-    RECORD, None, THE_TEAM, PLANNING, "deadline plan state",
-    ids=option(RECORDING, 'Record these rollouts: "0,5,7-9".', "text"),
+    RECORD, api.record, THE_TEAM, PLANNING, "deadline plan state", "Recording: ids pick rollouts outcomes",
+    "loop seed engine threat_checks", "Output: state_at picture animation force json",
+    ids=option(RECORDING, 'Record these rollouts: "0,5,7-9".', "ids"),
     pick=option(
         RECORDING, "Record the worst, median, best, random or quantile:0.05 rollout by coverage; several by commas "
-        "(default: median; not with --ids).", "text",
+        "(default: median; not with --ids).", "picks",
     ),
-    rollouts=of(
-        "rollouts", group=RECORDING,
-        help="Number of evaluated rollouts (default: 4096; with --ids and without --outcomes none).",
-    ),
-    outcomes=option(RECORDING, "Keep the outcome of every evaluated rollout.", "flag", default=False),
+    rollouts="Number of evaluated rollouts (default: 4096; with --ids and without --outcomes none).",
     policy=ANY_POLICY,
     plan="Record this plan file instead of planning.",
-    loop=OPTIONS["loop"], seed=OPTIONS["seed"], engine=OPTIONS["engine"], threat_checks=OPTIONS["threat_checks"],
-    state_at=option(OUTPUT, "With one --ids: write its state after this step to NAME.state.json.", "whole"),
     picture=option(OUTPUT, "Write a picture of the first rollout's end (.png).", "path"),
     animation=option(OUTPUT, "Write an animation of the first rollout (.gif).", "path"),
-    force=OPTIONS["force"],
-    json=OPTIONS["json"],
     out=of("out", help="Recording to write (.mcap).", default=...),
 )  # fmt: skip
 def record(source: INPUT, /, given: Given) -> int:
@@ -226,82 +205,40 @@ def record(source: INPUT, /, given: Given) -> int:
     as NAME.layout.json.
     """
     from analysis.recording.pictures import save_pictures
-    from analysis.recording.record import record as record_rollouts
-    from analysis.recording.record import scenario_text, state_of_rollout
     from analysis.recording.replay import interrupted_lines
-    from analysis.recording.viewers.topics import Stage, write_layout
-    from analysis.utils.progress import show_progress
 
-    out, plan, state, state_at = given.out, given.plan, given.state, given.state_at
-    cut_to = None if state_at is None else state_name(out)
+    out, read = given.out, (given.plan, given.state)
     # Refuse files that cannot be written, have a wrong suffix, or are an input, before any work.
-    for one, suffix in ((out, SUFFIX), (given.picture, ".png"), (given.animation, ".gif")):
-        if one is not None:
-            check_name(one, suffix)
-    check_files(source, out, layout_name(out), given.picture, given.animation, cut_to, also_read=(plan, state))
-    growing = growing_name(out)
-    if growing.is_symlink() or growing.exists():
-        raise left_over(growing)
-    if not may_replace(out, given.force):
-        return DONE
-    if plan is None:
-        _request(given, external=given.plan_for == "open_loop")
-    world, made, notes = load_or_make_plan(given.asked(source), plan, state)
-    own = plan is None and state is None
-    request = _request(given, made.is_external, world.pace.seconds)
-    request = replace(request, made=own, scenario=scenario_text(source))
-    cut = None if state_at is None else state_of_rollout(world, made, request, state_at)
-    say(notes)
+    check_names(out, given.picture, given.animation)
+    cut_to = None if given.state_at is None else state_name(out)
+    console.check_files(source, out, layout_name(out), given.picture, given.animation, cut_to, also_read=read)
+    if not console.may_replace(out, given.force):
+        return console.DONE
+    if given.ids is not None and given.pick is not None:
+        raise UsageError("both --ids and --pick are given", expected="one of them")
+    world, plan = given.planned(source)
+    own: dict[str, Any] = {"plan": plan, "path": out, "force": True, "made": read == (None, None)}
+    if given.ids is None:
+        own["pick"] = given.pick or ("median",)
+    if given.rollouts is None and (given.ids is None or given.outcomes):
+        own["rollouts"] = EVALUATED
     try:
-        with show_progress() as progress:
-            done = record_rollouts(world, made, request, out, progress=progress, doing=progress.doing)
+        done = given.call(api.record, world, **own)
     except KeyboardInterrupt:
         say([nothing_recorded(out)])
-        return INTERRUPTED
-    layout = layout_name(done.path)
-    write_layout(layout, world, len(made.robots))
-    written = [done.path, layout]
-    if cut is not None:
-        written.append(state_name(done.path))
-        cut.save(written[-1], force=True)
-    lines = [*interrupted_lines(done, out), *(f"wrote {file}" for file in written)]
-    status = deliver(done, as_json=given.json, notes=lines)
+        return console.INTERRUPTED
+    lines = [*interrupted_lines(done, out), *(f"wrote {file}" for file in done.files)]
+    status = console.deliver(done, as_json=given.json, notes=lines)
     drawn = [str(file) for file in (given.picture, given.animation) if file is not None]
     if drawn and not done.partial:
         say([f"drawing {' and '.join(drawn)} ..."])
-        stage = Stage(world, made, request.loop, request.seed, request.first_only)
         try:
-            for drawing in save_pictures(done.first, stage, given.picture, given.animation):
+            for drawing in save_pictures(done.first, done.stage, given.picture, given.animation):
                 say([f"wrote {drawing}"])
         except KeyboardInterrupt:
             say([f"interrupted while drawing; {done.path} is whole"])
-            return INTERRUPTED
+            return console.INTERRUPTED
     return status
-
-
-def _request(given: Given, external: bool, step_seconds: float | None = None) -> Request:
-    """The rollouts to record, checked, but for the plan's origin. `external`: the plan has no areas."""
-    from analysis.recording.contents import MOST_RECORDED
-    from analysis.recording.record import Request, parse_ids, parse_picks
-
-    if given.ids is not None and given.pick is not None:
-        raise UsageError("both --ids and --pick are given", expected="one of them")
-    few = given.ids is not None and not given.outcomes
-    if given.rollouts is not None and not 1 <= given.rollouts <= 2**32:
-        raise UsageError(f"--rollouts {given.rollouts}", expected=f"1 to {2**32}")
-    request = Request(
-        ids=() if given.ids is None else parse_ids(given.ids, MOST_RECORDED),
-        picks=parse_picks("median" if given.pick is None else given.pick) if given.ids is None else (),
-        evaluated=(0 if few else EVALUATED) if given.rollouts is None else given.rollouts,
-        outcomes=given.outcomes,
-        loop=given.loop or ("open" if external else "closed"),
-        seed=given.seed or 0,
-        engine=given.engine,
-        first_only=given.threat_checks == "first_visit",
-        step_seconds=1.0 if step_seconds is None else step_seconds,
-    )
-    request.check()
-    return request
 
 
 def nothing_recorded(out: Path) -> str:
@@ -327,16 +264,16 @@ def inspect(path: file("FILE", "A recording (.mcap)."), /, given: Given) -> int:
 
     if given.repair is not None and not given.replay:
         check_name(given.repair, SUFFIX)
-        check_files(str(path), given.repair, suffix=SUFFIX)
+        console.check_files(str(path), given.repair, suffix=SUFFIX)
     with show_progress() as progress:
         found = given.call(api.inspect, path, progress=progress)
     most = {"main": replay.MOST_LINES, "all": None, "none": 0}[given.events]
     if given.replay:
-        show(replay.replayed(found), given.json)
-        return DONE if found.identical else CHECK_FAILED
+        console.show(replay.replayed(found), given.json)
+        return console.DONE if found.identical else console.CHECK_FAILED
     if given.repair is None:
-        show(replay.inspected(found, most), given.json)
-        return DONE
-    show(replay.recovered(found), given.json)
+        console.show(replay.inspected(found, most), given.json)
+        return console.DONE
+    console.show(replay.recovered(found), given.json)
     say([f"wrote {given.repair}"])
-    return DONE if found.complete else CHECK_FAILED
+    return console.DONE if found.complete else console.CHECK_FAILED

@@ -99,6 +99,21 @@ def _exactness(text: str, name: str) -> str | float:
     return text if text in ("auto", "never") else parse_number(text, name, "auto, never, or a number of seconds")
 
 
+def _ids(text: str, name: str) -> tuple[int, ...]:
+    """Ids of rollouts; they are parsed where they are typed, before any work."""
+    from analysis.recording.contents import MOST_RECORDED
+    from analysis.recording.record import parse_ids
+
+    return parse_ids(text, MOST_RECORDED)
+
+
+def _picks(text: str, name: str) -> tuple[str, ...]:
+    """Names of selections of rollouts."""
+    from analysis.recording.record import parse_picks
+
+    return tuple(pick.name for pick in parse_picks(text))
+
+
 def _path(text: str, name: str) -> Path:
     if not text:
         raise UsageError(f"{name} ''", expected="a path")
@@ -139,7 +154,7 @@ KINDS: dict[str, tuple[Any, Callable[[str, str], Any]]] = {
     "whole": (int, parse_whole), "number": (float, parse_number), "wholes": (str, _each(parse_whole)),
     "numbers": (str, _each(parse_number)), "time": (str, _deadline), "places": (str, _places), "cells": (str, _cells),
     "names": (str, _each(_text)), "text": (str, _text), "path": (Path, _path), "list": (str, _list),
-    "effort": (str, _exactness),
+    "effort": (str, _exactness), "ids": (str, _ids), "picks": (str, _picks),
     "reach": (float, lambda text, name: inf if text == "inf" else parse_number(text, name)),
 }  # fmt: skip
 VERBATIM = converter(_text)

@@ -13,7 +13,6 @@ from analysis.cli.console import DONE, check_files, check_folder, deliver
 from analysis.cli.options import PLANNING, VERBATIM, Given, command, file, of, option
 from analysis.utils.notes import say
 from planner.errors import UsageError
-from planner.formatting import counted
 from planner.settings import OUTPUT, SURVEY
 
 RESEARCH = "Research"
@@ -40,13 +39,10 @@ def sweep(spec: file("SPEC", "Sweep file (YAML)."), /, given: Given) -> int:  # 
 
 
 @command(
-    RESEARCH, None, "where by figure plot csv parquet merge json",
+    RESEARCH, api.results, "where by figure", "Output: plot csv parquet merge", "json",
     where=option(SURVEY, "Only runs with NAME=VALUE[,VALUE]; may be repeated.", "texts"),
     by=option(SURVEY, 'Labels that define the rows: "robots,kind" (default: all that vary).', "text"),
     figure=option(OUTPUT, "Figure of the picture (default: visited).", "", *FIGURES, default="visited"),
-    plot=option(OUTPUT, "Write a picture (.png) of the figure over the first numeric label.", "path"),
-    csv=option(OUTPUT, "Write one line per run (.csv).", "path"),
-    parquet=option(OUTPUT, "Write one row per run (.parquet).", "path"),
     merge=option(OUTPUT, "First copy the intact results of this store into STORE; may be repeated.", "texts"),
 )  # fmt: skip
 def results(
@@ -55,45 +51,13 @@ def results(
     given: Given,
 ) -> int:
     """Contents of a store: table, filter, picture, export, and union with other stores."""
-    from analysis.sweeps.report import rows_chart
-    from analysis.sweeps.results import collect, parse_where, write_csv, write_parquet
-    from analysis.sweeps.store import Store
+    from analysis.sweeps.results import parse_where
 
-    plot, csv, parquet = given.plot, given.csv, given.parquet
-    for out, suffix in ((plot, ".png"), (csv, ".csv"), (parquet, ".parquet")):
+    written = {".csv": given.csv, ".parquet": given.parquet, ".png": given.plot}
+    for suffix, out in written.items():
         check_files(str(store), out, suffix=suffix)
-    wanted, names = parse_where(given.where or []), [name for name in (given.by or "").split(",") if name]
-    if given.by is not None and not names:
-        raise UsageError(f"--by {given.by!r}", expected='names of labels, "robots,kind"')
-    if given.merge:
-        _merge(store, list(map(Path, given.merge)))
-    with Store.open(store, write=False) as opened:
-        found = collect(opened, wanted, names)
-        for out, write in ((csv, write_csv), (parquet, write_parquet)):
-            if out is not None:
-                write(opened, wanted, out)
-    if plot is not None:
-        from analysis.page.charts import charts_figure
-        from analysis.pictures import png_of
-        from planner.files import atomic_write
-
-        with atomic_write(plot, "wb") as stream:
-            stream.write(png_of(charts_figure, [rows_chart(found.rows, given.figure)]))
-    notes = [f"wrote {out}" for out in (csv, parquet, plot) if out is not None]
-    return deliver(found, as_json=given.json, notes=notes)
-
-
-def _merge(store: Path, others: list[Path]) -> None:
-    """Union of blocks, into `store`."""
-    from analysis.sweeps.store import Store
-
-    for other in others:
-        if other.resolve() == store.resolve():
-            raise UsageError(f"--merge {other} is the store itself", expected="another one")
-    for other in others:
-        with Store.rescue(other) as source, Store.open(store) as target:
-            count, notes = target.merge(source)
-        say([f"{other}: {counted(count, 'run')} taken over", *(f"left out: {note}" for note in notes)])
+    found = given.call(api.results, store, where=parse_where(given.where or []))
+    return deliver(found, as_json=given.json, notes=[f"wrote {out}" for out in written.values() if out is not None])
 
 
 @command(

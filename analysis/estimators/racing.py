@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators.trial import Known, Measured, Sampled, Trial, alike
-from analysis.sampling import SECONDS, RolloutChoices
+from analysis.sampling import SECONDS, RolloutChoices, check_metric
 from analysis.statistics.estimates import bet_interval, error_share
 from analysis.utils.notes import Doing, ProgressCallback, of_things, quiet
 from analysis.utils.tables import policy_text
@@ -87,6 +87,7 @@ class Search:
     ) -> None:
         """`starts`: int64 `[K, 2]`, of the team; of searches for a team, cells in the same part of the map."""
         self.world, self.starts, self.settings = world, starts, settings
+        check_metric(choices, settings)
         self.choices = choices.timed(world.pace)
         self.progress, self.doing = progress or quiet, doing or quiet
         self.accessible = world.accessible(starts)

@@ -36,6 +36,7 @@ from planner.rollouts.exact_tree import CHEAP, WHOLE, Tree, grow_tree
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.tables import AllPairs
 from planner.rollouts.threshold_classes import classes_by_threshold
+from planner.simulator.jit import INTERPRETED
 from planner.simulator.state import MOST_PASSES, Counts
 from planner.tally import RolloutResults, Tally
 from planner.world.world import World
@@ -46,6 +47,8 @@ SLACK = 1e-4
 """Largest uncertainty of a mean, a fraction of the cells, that counts as exact."""
 EFFORT = 3e8
 """Histories of a tree times cells that take about a second; a fixed amount of work, the same on every machine."""
+AS_PYTHON = 1000
+"""A history takes that much longer where the simulator runs as Python (`NUMBA_DISABLE_JIT=1`)."""
 LARGE = 8
 """Robots above which a history takes longer: by their number, and by its cube if they return to base (64: 366 times) or
 have a limited radio range (35: 40 times)."""
@@ -76,6 +79,7 @@ class TreeTruth(ClosedTruth):
         return {
             "losses": _as_json(robots - most, robots - least),
             "complete": _as_json(*tree.chance_complete()),
+            "delivered": _as_json(*tree.covered("delivered")) if len(tree.counts.delivered) else None,
             "quantiles": {
                 figure: {f"{q:g}": _as_json(*tree.quantile(figure, q)) for q in QUANTILES} for figure in MEANINGS
             },
@@ -131,6 +135,7 @@ def tree_of(loop: ClosedLoop, seconds: float, slack: float = SLACK, fine_seconds
     """
     cells = loop.accessible
     slower = max(loop.robots / LARGE, 1.0) ** (3 if loop.comes_home or len(loop.tables.reach) else 1)
+    slower *= AS_PYTHON if INTERPRETED else 1
     most, cheap = (
         max(int(time * EFFORT / cells / slower), 2) if cells <= MOST_CELLS else 2 for time in (seconds, fine_seconds)
     )
@@ -219,17 +224,24 @@ class Known:
 
     Attributes:
         tree: of all possible histories. value: bounds of the visited share of the value; None: the map has no values.
+        metric: the coverage that is compared.
     """
 
     tree: Tree
     value: Between | None = None
+    metric: str = "visited"
     rollouts = 0
     exact = certain = True
 
     @property
     def counted(self) -> str:
-        """The figure that is compared: value if the map has values, else cells."""
-        return "visited" if self.value is None else "value"
+        """The figure that is compared: visited value if the map has values, else cells."""
+        return "value" if self.valued and self.metric == "visited" else self.metric
+
+    @property
+    def valued(self) -> bool:
+        """Whether the map has values."""
+        return self.value is not None
 
     @property
     def share(self) -> float:
@@ -278,7 +290,7 @@ class Known:
 
     def largest(self, figure: str) -> float:
         """The largest possible value of a figure in a run."""
-        axis = {"lost": "alive", "survived": "visited"}.get(figure, figure)
+        axis = {"lost": "alive", "survived": "visited", "delivered": "visited"}.get(figure, figure)
         return 1.0 if axis == "value" else len(getattr(self.tree.counts, axis)) - 1.0
 
 
@@ -295,7 +307,7 @@ class Sampled:
 
     Attributes:
         tally, results: of the rollouts; results may be omitted if nothing is compared. seed: of a closed loop, or None.
-        valued: the map has values. certain: all rollouts are equal. seconds: computing time.
+        valued: the map has values. certain: all rollouts are equal. seconds: computing time. metric: as in `Known`.
     """
 
     tally: Tally
@@ -304,13 +316,14 @@ class Sampled:
     valued: bool = False
     certain: bool = False
     seconds: float = 0.0
+    metric: str = "visited"
     exact = False
 
     def __add__(self, other: Sampled) -> Sampled:
         assert self.results is not None
         assert other.results is not None
         both = RolloutResults.join([self.results, other.results])
-        return Sampled(self.tally + other.tally, both, self.seed, self.valued, self.certain)
+        return replace(self, tally=self.tally + other.tally, results=both, seconds=0.0)
 
     @property
     def rollouts(self) -> int:
@@ -320,7 +333,7 @@ class Sampled:
     @property
     def counted(self) -> str:
         """As in `Known`."""
-        return "value" if self.valued else "visited"
+        return "value" if self.valued and self.metric == "visited" else self.metric
 
     @cached_property
     def share(self) -> float:
@@ -470,10 +483,10 @@ class Trial:
         if tree is None or (seconds == 0 and tree.counts.stops.any()):  # only if no robot can be lost
             return None
         if self.world.value is None:
-            return Known(tree)
+            return Known(tree, metric=self.choices.metric)
         worth = CellValues.of(self.world)
         low, high = (float(chance @ worth.value[loop.cells]) / worth.total for chance in tree.cells("visited"))
-        return Known(tree, (low, high))
+        return Known(tree, (low, high), self.choices.metric)
 
     def sample(self, start: int, count: int) -> Sampled:
         """Rollouts `start .. start + count - 1` with single results; the last sample is cached."""
@@ -496,7 +509,8 @@ class Trial:
             yield self._sampled(chunk.tally, RolloutResults.join(parts) if parts else None, chunk.seconds)
 
     def _sampled(self, tally: Tally, results: RolloutResults | None, seconds: float = 0.0) -> Sampled:
-        return Sampled(tally, results, self._threshold_seed, self._valued, self.certain, seconds)
+        how = self._threshold_seed, self._valued, self.certain, seconds, self.choices.metric
+        return Sampled(tally, results, *how)
 
     @property
     def _threshold_seed(self) -> int | None:

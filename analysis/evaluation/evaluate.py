@@ -33,7 +33,7 @@ from analysis.evaluation.outputs.over_time import Band, Deadline, Turning
 from analysis.evaluation.outputs.value import Value
 from analysis.evaluation.outputs.what_if import EqualRobots, MapVariance, ThreatScale, alike
 from analysis.page.elements import Run as DrawnRun
-from analysis.report.result import Result
+from analysis.report.result import Result, cell_counts
 from analysis.sampling import (
     RolloutChoices,
     Stage,
@@ -50,6 +50,7 @@ from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.theory.upper_bound import AnyStrategy, any_strategy, trimmed
 from analysis.theory.verdicts import (
     FORMULAS,
+    MEANINGS,
     Check,
     ClosedTruth,
     Verdict,
@@ -63,12 +64,14 @@ from analysis.utils.notes import Doing, ProgressCallback, quiet
 from analysis.utils.tables import failure_text, frame_of
 from planner.arguments import MOST_ROLLOUTS, argument, whole
 from planner.errors import UsageError
+from planner.files import Json
 from planner.formatting import counted
-from planner.plan.plan import Plan, is_certain
+from planner.json_objects import as_json
+from planner.plan.plan import Plan, drive_of, is_certain
 from planner.rollouts.engine import choose_engine
 from planner.rollouts.tables import AllPairs
 from planner.simulator.codes import Outcome
-from planner.tally import Tally
+from planner.tally import Tally, counts_by_word
 from planner.world.planned_map import true_world
 from planner.world.uncertain_maps import Uncertain
 from planner.world.world import World
@@ -114,6 +117,100 @@ class Evaluation(Result):
     certain: bool = False
     choices: RolloutChoices = field(default_factory=RolloutChoices)
     bound: bool | None = None
+    json_keys = """
+        loop engine robots=plan.team starts=plan.starts cells policy plan.plan_for rollouts=tally.rollouts seed certain
+        figures.coverage best.visited=visited best.survived=survived best.losses=losses coverage_of_free_cells outcomes
+        *figures alive.mean=figures.alive.mean time.max=longest losses.exact=exact_losses shown.some_left
+        control=control_facts bounds=formulas bounds.any_strategy=bounds.any_strategy.cells verdicts=map_verdicts
+        exact.open_loop=closed_form exact.closed_loop=closed_facts exact.alive=exact.alive exact.time=exact.time
+        plan=plan_facts rollouts_per_second compile_seconds advice=no_advice movers?=world.movers phases?=world.phases
+        *outputs_json notes?
+    """
+
+    @property
+    def policy(self) -> Json | None:
+        """The policy with its limits; None for an external plan."""
+        settings = self.plan.settings
+        if settings is None:
+            return None
+        limited = {} if settings.range is None else {"range": settings.range}
+        return {
+            "name": settings.rule.name,
+            "risk_cap": settings.risk_cap,
+            "robot_value": settings.robot_value,
+        } | limited
+
+    @property
+    def coverage_of_free_cells(self) -> dict[str, float]:
+        """Mean coverage by meaning, a fraction of all free cells."""
+        return {m: getattr(self.figures, m).mean.mean / self.cells["free"] for m in MEANINGS}
+
+    @property
+    def outcomes(self) -> dict[str, int]:
+        """Number of rollouts by outcome."""
+        return counts_by_word(self.tally.outcomes, self.plan.ends_by_deadline)
+
+    @property
+    def longest(self) -> int:
+        """Steps of the longest rollout."""
+        return int(np.flatnonzero(self.tally.time).max())
+
+    @property
+    def exact_losses(self) -> float | None:
+        """Expected robots lost; None if they are not known exactly."""
+        return None if self.exact.alive is None else self.tally.robots - self.exact.alive
+
+    @property
+    def control_facts(self) -> Json | None:
+        """By figure: ratio of variances without and with the control variate, and its slopes; None without one."""
+        found = self.control
+        weights = {name: one.weights for name, one in found.items()}
+        return {"gain": {name: one.gain for name, one in found.items()}, "weights": weights} if found else None
+
+    @property
+    def map_verdicts(self) -> dict[str, str]:
+        """The verdict on each formula of the paper, by formula and meaning."""
+        return {check.key: str(check.verdict) for check in self.worst_checks}
+
+    @property
+    def closed_facts(self) -> Json | None:
+        """The closed loop's exact expected values (or certain bounds), and how they are known; None if they are not."""
+        if self.closed is None:
+            return None
+        truths = {name: getattr(self.closed, name) for name in (*MEANINGS, "some_left")}
+        values = {name: one.value if one.low == one.high else one.interval for name, one in truths.items()}
+        rest = {"alive": self.closed.alive, "time": self.closed.time, "how": self.closed.visited.how}
+        return self.closed.further | values | rest
+
+    @property
+    def plan_facts(self) -> Json:
+        """Settings of the plan, numbers of areas, levels and shares, and figures of its nominal run."""
+        plan, drive = self.plan, drive_of(robot.path for robot in self.plan.robots)
+        return {
+            "settings": plan.settings,
+            "areas": len(plan.areas),
+            "levels": len({area.level for area in plan.areas}),
+            "makespan": plan.makespan,
+            "outcome": plan.outcome,
+            "shares": plan.shares,
+            "moves": int(drive.moves.sum()),
+            "quarter_turns": int(drive.turns.sum()),
+        }
+
+    @property
+    def rollouts_per_second(self) -> float | None:
+        """Rate of the rollouts without compilation."""
+        return self.tally.rollouts / self.seconds if self.seconds > 0 else None
+
+    @property
+    def no_advice(self) -> None:
+        """The value of `advice` without that output."""
+
+    @property
+    def outputs_json(self) -> Json:
+        """The values of the outputs by key."""
+        found = {name: as_json(output) for name, output in self.outputs.items()}
+        return {name: value for name, value in found.items() if value is not None}
 
     def with_outputs(self, more: Mapping[str, Output], partial: bool) -> Evaluation:
         """The same evaluation with further outputs; cached values are kept."""
@@ -139,12 +236,7 @@ class Evaluation(Result):
     @cached_property
     def cells(self) -> dict[str, int]:
         """Numbers of cells: total, free, accessible, and accessible with a threat above 0."""
-        return {
-            "total": self.world.threat.size,
-            "free": int(self.ground.free.sum()),
-            "accessible": int(self.accessible.sum()),
-            "dangerous": int((self.accessible & (self.ground.threat > 0)).sum()),
-        }
+        return cell_counts(self.ground, self.accessible)
 
     @cached_property
     def ground(self) -> World:
@@ -161,6 +253,8 @@ class Evaluation(Result):
         """Figures of the rollouts, or exact figures of all possible histories."""
         longest = longest_run(self.world, self.plan, self.loop)
         sampled = Figures.of(self.tally, self.certain, longest, home_of(self.plan, self.tally, self.loop))
+        if self.loop == "open":
+            return sampled.with_delivered(self.closed_form)
         return sampled.with_tree(self.closed.tree) if isinstance(self.closed, TreeTruth) else sampled
 
     @cached_property
@@ -297,6 +391,11 @@ class Evaluation(Result):
     def survived(self) -> Coverage:
         """Coverage of cells that a robot entered and survived; its mean is exact if that is known."""
         return self._coverage("survived")
+
+    @property
+    def delivered(self) -> Coverage | None:
+        """Coverage of cells that a robot which visited them brought to a base; None: not known."""
+        return None if self.shown.delivered is None else self._coverage("delivered")
 
     def _coverage(self, meaning: str) -> Coverage:
         covered = getattr(self.shown, meaning)
@@ -458,7 +557,11 @@ def evaluate(
         seconds=last.seconds,
         compile_seconds=last.compile_seconds,
         partial=partial,
-        notes=(*cut_off(world, last.tally, plan), *(() if partial else too_few(last, rolled))),
+        notes=(
+            *cut_off(world, last.tally, plan),
+            *not_counted(last, plan),
+            *(() if partial else too_few(last, rolled)),
+        ),
         certain=certain,
         choices=choices,
         bound=bound,
@@ -526,6 +629,12 @@ def cut_off(world: World, tally: Tally, plan: Plan) -> tuple[str, ...]:
         f"{count:,} of {counted(tally.rollouts, 'rollout')} {'was' if count == 1 else 'were'} cut off at the step limit"
     )
     return (f"{cut}: raise {argument('max_steps')}",)
+
+
+def not_counted(last: Stage, plan: Plan) -> tuple[str, ...]:
+    """A note if robots return to base and the engine does not count cells delivered."""
+    said = f"cells delivered are not counted in JAX: use {argument('engine', 'numba')}"
+    return (said,) if plan.comes_home and last.engine == "jax" else ()
 
 
 def too_few(last: Stage, choices: RolloutChoices) -> tuple[str, ...]:

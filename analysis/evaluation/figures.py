@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
-from analysis.estimators.trial import SLACK, Measured
+from analysis.estimators.trial import SLACK, Measured, stated
 from analysis.page.elements import CellLayer, Chart, Series
 from analysis.report.model import Pictured
 from analysis.sampling import RollOut, RolloutChoices, Stage
@@ -119,6 +119,7 @@ class AtHome(Estimate):
     """Robots that have returned at the end, alive. `at_least`: the probability of at least 0, 1, ..., K of them."""
 
     at_least: tuple[Chance, ...]
+    json_keys = "robots at_least=chances"
 
     @classmethod
     def of(cls, counts: NDArray[np.int64], certain: bool) -> Self:
@@ -149,9 +150,10 @@ class AtHome(Estimate):
         shown = range(self.robots, 0, -1) if self.robots <= MOST_LISTED else sorted(few, reverse=True)
         return {least: self.at_least[least] for least in shown}
 
-    def to_json(self) -> Json:
-        chances = {str(least): chance.to_json() for least, chance in enumerate(self.at_least) if least}
-        return super().to_json() | {"robots": self.robots, "at_least": chances}
+    @property
+    def chances(self) -> dict[int, Chance]:
+        """The probability that at least 1, ..., K robots have returned."""
+        return dict(enumerate(self.at_least[1:], start=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,13 +171,14 @@ class Covered:
     mean: Estimate
     certain: bool
     known: Callable[[int], tuple[float, float]] | None = None
+    json_keys = "*share quantiles=quantile_shares at_least=known_at_least"
 
     @classmethod
     def of_tree(cls, tree: Tree, meaning: str) -> Self:
         """From an exact tree."""
         counts = getattr(tree.counts, meaning) + getattr(tree.counts, f"left_{meaning}")
-        low, high = tree.covered(meaning)
-        return cls(counts, exactly((low + high) / 2), False, partial(tree.chance_of, meaning))
+        mean = stated(tree.covered(meaning), 1.0, len(counts) - 1.0)
+        return cls(counts, mean, False, partial(tree.chance_of, meaning))
 
     def in_order(self, chances: NDArray[np.float64]) -> Self:
         """For one robot with coverage probabilities `[N]`: it covers its cells in descending order of them.
@@ -221,12 +224,20 @@ class Covered:
         at = np.unique(np.linspace(first, last, CURVE).round().astype(np.int64))
         return at, [self.chance(int(cell)) for cell in at]
 
-    def to_json(self) -> Json:
-        """Fractions of the accessible cells."""
-        return self.mean.times(1.0 / self.cells).to_json() | {
-            "quantiles": {f"{q:g}": value * (1.0 / self.cells) for q, value in self.quantiles.items()},
-            "at_least": {f"{x:g}": chance.to_json() for x, chance in self.at_least.items()},
-        }
+    @property
+    def known_at_least(self) -> dict[float, Chance] | None:
+        """The probability to cover each fraction of AT_LEAST; None if only the mean is known."""
+        return self.at_least if self.counts.any() else None
+
+    @property
+    def share(self) -> Estimate:
+        """The mean, a fraction of the accessible cells."""
+        return self.mean.times(1.0 / self.cells)
+
+    @property
+    def quantile_shares(self) -> dict[float, float]:
+        """Quantiles, fractions of the accessible cells; NaN if the rollouts are too few."""
+        return {q: value * (1.0 / self.cells) for q, value in self.quantiles.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,7 +293,8 @@ class Figures:
     """Figures of rollouts, or of an exact tree; a new one is a field and its value in `of`.
 
     Attributes:
-        visited, survived: coverage. complete: probability to visit every accessible cell.
+        visited, survived: coverage. delivered: of cells delivered (SPEC section 19), None: not counted; teams in the
+            open loop have its mean alone. complete: probability to visit every accessible cell.
         ends: probabilities of the outcomes that occurred. left: of 0, ..., K robots alive at the end.
         some_left: probability that a robot survives. alive, losses: robots alive and robots lost at the end.
         home: robots that have returned at the end; None: they need not return.
@@ -291,6 +303,7 @@ class Figures:
 
     visited: Covered
     survived: Covered
+    delivered: Covered | None
     complete: Chance = field(metadata=in_table("chance to visit every cell"))
     ends: dict[Outcome, Chance]
     left: list[Chance]
@@ -322,6 +335,7 @@ class Figures:
         return cls(
             visited=visited,
             survived=survived,
+            delivered=Covered(tally.delivered, mean("delivered"), certain) if len(tally.delivered) else None,
             complete=chance(complete_chance(tally, certain)),
             ends={outcome: chance(proportion(count, runs)) for outcome, count in seen.items() if count},
             left=[chance(proportion(int(count), runs)) for count in tally.alive],
@@ -341,6 +355,7 @@ class Figures:
             self,
             visited=Covered.of_tree(tree, "visited"),
             survived=Covered.of_tree(tree, "survived"),
+            delivered=Covered.of_tree(tree, "delivered") if len(counts.delivered) else None,
             complete=Chance.known(*tree.chance_complete()),
             ends={outcome: Chance.known(*tree.chance(mass)) for outcome, mass in ends.items() if mass},
             left=[Chance.known(*tree.chance(int(mass))) for mass in counts.alive],
@@ -364,12 +379,21 @@ class Figures:
         robots = self.losses.robots
         return replace(self, **known, alive=exactly(robots - lost), losses=Losses(**vars(exactly(lost)), robots=robots))
 
+    def with_delivered(self, exact: OpenLoopExact) -> Self:
+        """The same with the exact number of cells delivered by robots that follow their own paths, if it is known."""
+        if not math.isfinite(exact.delivered):
+            return self
+        found = self.delivered or Covered(np.zeros_like(self.visited.counts), exactly(0.0), False)
+        found = replace(found, mean=exactly(exact.delivered))
+        alone = self.losses.robots == 1
+        return replace(self, delivered=found.in_order(exact.delivered_by_cell) if alone else found)
+
     def with_formulas(self, exact: OpenLoopExact, time: float | None) -> Self:
         """The same with the exact values of robots that follow their own paths; `time`: steps, or None."""
         robots, lost = self.losses.robots, exact.expected_losses
         if exact.survival.sum() > 0:  # some robot may survive, even if rounding hides it
             lost = min(lost, math.nextafter(robots, 0.0))
-        known = self.with_means(exact.visited, exact.survived, lost)
+        known = self.with_delivered(exact).with_means(exact.visited, exact.survived, lost)
         if math.isfinite(exact.some_left):
             left = [Chance.known(chance, chance) for chance in exact.alive_chance.tolist()]
             known = replace(known, left=left, some_left=Chance.known(exact.some_left, exact.some_left))
@@ -380,9 +404,15 @@ class Figures:
             known = replace(known, visited=visited, survived=survived, complete=complete, assured=least)
         return known if time is None or not math.isfinite(time) else replace(known, time=exactly(time))
 
-    def coverage_json(self) -> Json:
-        """Coverage in both meanings."""
-        return {meaning: getattr(self, meaning).to_json() for meaning in MEANINGS}
+    @property
+    def coverage(self) -> dict[str, Covered]:
+        """Coverage by meaning."""
+        return {meaning: getattr(self, meaning) for meaning in self.meanings}
+
+    @property
+    def meanings(self) -> tuple[str, ...]:
+        """Names of the fields of coverage that are known."""
+        return MEANINGS if self.delivered is None else (*MEANINGS, "delivered")
 
 
 def last_shown(plan: Plan, loop: str, tally: Tally) -> int:
@@ -605,7 +635,7 @@ class Output(ABC):
     def measure(cls, asked: Any, run: Run) -> Iterator[Self]:
         """Yield the output, possibly first in part; each replaces the one before. `asked`: the option's value."""
 
-    def as_json(self) -> object:
+    def to_json(self) -> object:
         """Its value in the JSON object; None: omitted."""
         return None
 

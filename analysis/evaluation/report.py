@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields
 from fractions import Fraction
 from functools import partial
 
@@ -24,19 +23,14 @@ from analysis.evaluation.tables import (
     worst_cells,
 )
 from analysis.report.model import KeyFigure, Pictured, Report, Section
-from analysis.report.result import asked, json_end, pick, team_figure
+from analysis.report.result import asked, team_figure
 from analysis.statistics.estimates import Estimate, between, in_unit, robots_text
-from analysis.theory.bounds import Theorem3
-from analysis.theory.exact import OpenLoopExact
 from analysis.theory.upper_bound import moves_left
-from analysis.theory.verdicts import MEANINGS, ClosedTruth, Truth
 from analysis.utils.tables import json_text, plan_text, policy_text, span_text, without_level
-from planner.files import Json
 from planner.formatting import ceiled, counted, floored, percent, share
-from planner.plan.plan import Plan, drive_of
+from planner.json_objects import as_json
 from planner.rollouts.tables import STUCK_AFTER
 from planner.simulator.codes import Outcome
-from planner.tally import counts_by_word
 
 # The sentences of an evaluation: coverage, losses, time, and the cells that stand out.
 
@@ -73,7 +67,11 @@ def return_text(evaluation: Evaluation) -> str:
     if home is None:
         return ""
     mean = robots_text(home.mean, home.robots, min(home.digits(), 2))
-    return f"{mean} back at base on average; all in {home.at_least[-1].share} of runs."
+    got = evaluation.delivered
+    brought = (
+        "" if got is None else f" {without_level(got.describe(100.0, ' %'))} of the accessible cells are delivered."
+    )
+    return f"{mean} back at base on average; all in {home.at_least[-1].share} of runs.{brought}"
 
 
 def completion_text(evaluation: Evaluation) -> str:
@@ -229,114 +227,6 @@ def remainder_text(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
             yield f"In the run without losses, {rest.ended} of {robots} use up their range and stay where they are."
 
 
-# The result as the JSON object that `mrac-jax evaluate` prints (SPEC section 9).
-
-
-def to_json(evaluation: Evaluation) -> Json:
-    """The JSON object of SPEC section 9; undefined values are None."""
-    tally, plan, known, found = evaluation.tally, evaluation.plan, evaluation.exact, evaluation.figures
-    drive, world = drive_of(robot.path for robot in plan.robots), evaluation.world
-    out: Json = {
-        **pick(evaluation, "loop engine"),
-        "robots": len(plan.robots),
-        "starts": plan.starts,
-        "cells": evaluation.cells,
-        "policy": _policy_json(plan),
-        "plan_for": plan.plan_for,
-        "rollouts": tally.rollouts,
-        **pick(evaluation, "seed certain"),
-        "coverage": found.coverage_json(),
-        "best": pick(evaluation, "visited survived losses"),
-        "coverage_of_free_cells": {m: getattr(found, m).mean.mean / evaluation.cells["free"] for m in MEANINGS},
-        "outcomes": counts_by_word(tally.outcomes, plan.ends_by_deadline),
-        **{one.name: value for one in fields(found) if "title" in one.metadata and (value := getattr(found, one.name))},
-        "alive": pick(found.alive, "mean"),
-        "time": found.time.to_json() | {"max": int(np.flatnonzero(tally.time).max())},
-        "losses": found.losses.to_json() | {"exact": None if known.alive is None else tally.robots - known.alive},
-        "some_left": evaluation.shown.some_left,
-        "control": _control_json(evaluation),
-        "bounds": _bounds_json(evaluation),
-        "verdicts": {check.key: str(check.verdict) for check in evaluation.worst_checks},
-        "exact": {
-            "open_loop": _open_json(evaluation.closed_form),
-            "closed_loop": _closed_json(evaluation.closed),
-            **pick(known, "alive time"),
-        },
-        "plan": {
-            "settings": plan.settings,
-            "areas": len(plan.areas),
-            "levels": len({area.level for area in plan.areas}),
-            **pick(plan, "makespan outcome shares"),
-            "moves": int(drive.moves.sum()),
-            "quarter_turns": int(drive.turns.sum()),
-        },
-        "rollouts_per_second": tally.rollouts / evaluation.seconds if evaluation.seconds > 0 else None,
-        "compile_seconds": evaluation.compile_seconds,
-        "advice": None,
-    }
-    more = pick(world, "movers phases")
-    more |= {key: output.as_json() for key, output in evaluation.outputs.items()}
-    return (
-        out | {key: value for key, value in more.items() if value is not None} | json_end(evaluation, evaluation.notes)
-    )
-
-
-def _control_json(evaluation: Evaluation) -> Json | None:
-    """By figure: ratio of variances without and with the control variate, and its slopes; None without one."""
-    found = evaluation.control
-    said = {"gain": {key: one.gain for key, one in found.items()}, "weights": {k: v.weights for k, v in found.items()}}
-    return said if found else None
-
-
-def _policy_json(plan: Plan) -> Json | None:
-    settings = plan.settings
-    if settings is None:
-        return None
-    limited = {} if settings.range is None else {"range": settings.range}
-    return {"name": settings.rule.name} | pick(settings, "risk_cap robot_value") | limited
-
-
-def _bounds_json(evaluation: Evaluation) -> Json:
-    """The formulas of SPEC section 7."""
-    bounds, limit = evaluation.formulas, evaluation.bounds.any_strategy
-    undefined = dict.fromkeys(Theorem3.__dataclass_fields__)
-    return {
-        **pick(bounds, "eq1 eq2_printed team_survival eq4 eq5"),
-        "theorem3": {
-            "visited": bounds.theorem3_visited or undefined,
-            "survived": bounds.theorem3_survived or undefined,
-        },
-        **pick(bounds, "ideal_eq7 ideal_team"),
-        "any_strategy": None if limit is None else limit.cells,
-    }
-
-
-def _open_json(exact: OpenLoopExact) -> Json:
-    """The open loop's expected values, for either evaluated loop; NaN if not known."""
-    return {
-        **pick(exact, "visited survived"),
-        "alive": float(exact.survival.sum()),
-        "losses": exact.expected_losses,
-        "time": exact.mean_time,
-    }
-
-
-def _closed_json(closed: ClosedTruth | None) -> Json | None:
-    """The closed loop's exact expected values, and how they are known; None if they are not."""
-    if closed is None:
-        return None
-    return closed.further | {
-        **{name: _known_json(truth) for name, truth in pick(closed, "visited survived some_left").items()},
-        **pick(closed, "alive time"),
-        "how": closed.visited.how,
-    }
-
-
-def _known_json(truth: Truth) -> float | list[float]:
-    """A value, or its certain lower and upper bounds."""
-    return truth.value if truth.low == truth.high else [truth.low, truth.high]
-
-
 def report(evaluation: Evaluation, theory: bool = False, bounds: bool = True) -> Report:
     """The report of an evaluation: the answer with the map and the plan, the figures, the details.
 
@@ -369,7 +259,7 @@ def report(evaluation: Evaluation, theory: bool = False, bounds: bool = True) ->
     inputs = _inputs(evaluation)
     return Report(
         "evaluation", "evaluate", asked(world, len(plan.robots), "how much is covered?"), headline(evaluation),
-        lambda: to_json(evaluation), list(filter(None, said)), _key_figures(evaluation),
+        partial(as_json, evaluation), list(filter(None, said)), _key_figures(evaluation),
         picture=lambda: charts.plan_map(evaluation), below=lambda: evaluation.added("below"), parts=parts,
         notes=evaluation.notes, warnings=["Interrupted: the rollouts done so far are shown."] * evaluation.partial,
         settings=inputs | _settings(evaluation),

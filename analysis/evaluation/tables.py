@@ -64,11 +64,11 @@ def _shown_figures(evaluation: Evaluation) -> Figures:
 
 
 def _coverage_rows(evaluation: Evaluation) -> Iterator[Row]:
-    """Coverage in percent, both meanings, of the accessible cells and of all free cells where these differ."""
+    """Coverage in percent, in each meaning, of the accessible cells and of all free cells where these differ."""
     cells, found = evaluation.cells, _shown_figures(evaluation)
     of = {"": cells["accessible"], ", of all free cells": cells["free"]}
     for name, number in list(of.items())[: 1 + (cells["free"] > cells["accessible"])]:
-        for meaning in MEANINGS:
+        for meaning in found.meanings:
             covered, exact = getattr(found, meaning), getattr(evaluation.closed_form, meaning)
             yield coverage_row(meaning + name, covered, number, exact)
 

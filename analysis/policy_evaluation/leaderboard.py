@@ -6,7 +6,7 @@ import math
 import runpy
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cache, cached_property, partial
@@ -20,7 +20,7 @@ from rich.table import Table
 from analysis.inputs import EXAMPLE, input_path
 from analysis.policy_evaluation.policy_evaluation import estimate_of, roll_policy, scores_of, share_of, wanted_for
 from analysis.report.model import KeyFigure, Report, Section
-from analysis.report.result import Result, json_end
+from analysis.report.result import Result
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.estimates import Estimate
 from analysis.theory.flow_programme import optimum
@@ -28,11 +28,12 @@ from analysis.theory.upper_bound import most_cells
 from analysis.utils.notes import ProgressCallback, quiet
 from analysis.utils.pool import answers
 from analysis.utils.progress import OnInterrupt, ask
-from analysis.utils.tables import csv_text, make_table, without_level
+from analysis.utils.tables import Column, csv_text, table_of, without_level
 from planner.arguments import argument
 from planner.errors import InputError, UsageError
 from planner.files import Json, check_file
 from planner.formatting import ceiled, counted, in_percent
+from planner.json_objects import as_json
 from planner.plan.plan import Plan
 from planner.plan_team import plan_team, read_plan
 from planner.policies.rules import Rule
@@ -71,6 +72,12 @@ class WorldResults:
     bound: float
     optimum: float | None
     rolled: dict[str, Rolled]
+    json_keys = "robots accessible=cells *limits entries"
+
+    @property
+    def entries(self) -> Json:
+        """By entry: mean coverage, a fraction of the accessible cells, and mean share of the team that is lost."""
+        return {name: {"coverage": self.coverage(name), "lost": self.lost(name)} for name in self.rolled}
 
     def coverage(self, entry: str) -> Estimate | None:
         """Mean visited coverage, a fraction of the accessible cells; None: no rollouts of this entry."""
@@ -121,6 +128,7 @@ class Row:
     coverage: float
     lost: float
     first: int
+    json_keys = "rank worlds score behind coverage lost first"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -141,6 +149,17 @@ class Leaderboard(Result):
     own: str | None
     seconds: float
     partial: bool = False
+    json_keys = "answer=headline rollouts seed entries=by_name worlds=by_world"
+
+    @property
+    def by_name(self) -> dict[str, Row]:
+        """All entries by name."""
+        return {row.name: row for row in self.entries}
+
+    @property
+    def by_world(self) -> dict[str, WorldResults]:
+        """The worlds by name."""
+        return {played.name: played for played in self.worlds}
 
     @cached_property
     def entries(self) -> tuple[Row, ...]:
@@ -473,16 +492,16 @@ class Suite(Mapping[str, World]):
 
 # The report of `mrac-jax suite`.
 
-RANKS: dict[str, Callable[[Row], object]] = {
-    "rank": lambda row: row.rank or "-",
-    "": lambda row: row.name,
-    "score, %": lambda row: _half(row.score),
-    "behind, points": lambda row: "" if row.rank == 1 else _half(row.behind),
-    "visited, %": lambda row: in_percent(row.coverage),
-    "lost, %": lambda row: in_percent(row.lost),
-    "first on": lambda row: row.first,
-    "worlds": lambda row: row.worlds,
-}
+RANKS = (
+    Column("rank", lambda row: row.rank or "-"),
+    Column("", lambda row: row.name, words=True),
+    Column("score, %", lambda row: _half(row.score)),
+    Column("behind, points", lambda row: "" if row.rank == 1 else _half(row.behind)),
+    Column("visited, %", lambda row: in_percent(row.coverage)),
+    Column("lost, %", lambda row: in_percent(row.lost)),
+    Column("first on", lambda row: row.first),
+    Column("worlds", lambda row: row.worlds),
+)
 """Columns of the table of ranks."""
 NOTES = (
     "score: (J - random walk) / (bound - random walk) of mean coverage J, averaged over worlds; ± half the 95 % "
@@ -496,10 +515,10 @@ def report(standing: Leaderboard) -> Report:
     """Ranks and worlds as tables; both as Markdown, all figures as CSV, and the worlds as files."""
     count = counted(len(standing.worlds), "world")
     mine = [row for row in standing.entries if row.name == standing.own]
-    ranks = _table(RANKS, ([make(row) for make in RANKS.values()] for row in standing.entries))
+    ranks = table_of(RANKS, standing.entries, padding=(0, 1, 0, 0))
     worlds = _worlds_table(standing)
     return Report(
-        "suite", "suite", "Which policy covers most?", headline(standing), partial(_json, standing),
+        "suite", "suite", "Which policy covers most?", headline(standing), partial(as_json, standing),
         figures=[KeyFigure(f"{row.rank} of {len(standing.entries)}", f"rank of {row.name}") for row in mine],
         heading=[f"{count}, {counted(standing.rollouts, 'rollout')} each, seed {standing.seed}"],
         took=[f"{standing.seconds:.0f} s"],
@@ -536,20 +555,18 @@ def _half(estimate: Estimate | None, most: int | None = None) -> str:
 
 def _worlds_table(standing: Leaderboard) -> Table:
     names = [RANDOM, *(row.name for row in standing.entries if row.name != RANDOM)]
-    rows = []
-    for played in standing.worlds:
-        bound, best = played.limits.values()
-        limits = ceiled(bound, unit=""), "" if best is None else in_percent(best, 2)
-        covered = [_half(played.coverage(name), 100) for name in names]
-        rows.append([played.name, f"{played.cells:,}", *limits, *covered])
-    return _table(("world", "cells", "bound", "optimum", *names), rows)
 
+    def covered(name: str) -> Column:
+        return Column(name, lambda played: _half(played.coverage(name), 100))
 
-def _table(columns: Iterable[str], rows: Iterable[Iterable[object]]) -> Table:
-    table = make_table(columns, left=("", "world"), padding=(0, 1, 0, 0))
-    for row in rows:
-        table.add_row(*map(str, row))
-    return table
+    columns = (
+        Column("world", lambda played: played.name, words=True),
+        Column("cells", lambda played: f"{played.cells:,}"),
+        Column("bound", lambda played: ceiled(played.limits["bound"], unit="")),
+        Column("optimum", lambda played: None if played.optimum is None else in_percent(played.limits["optimum"], 2)),
+        *map(covered, names),
+    )
+    return table_of(columns, standing.worlds, padding=(0, 1, 0, 0))
 
 
 def _markdown(table: Table) -> Iterator[str]:
@@ -567,22 +584,7 @@ def _lines(standing: Leaderboard) -> Iterator[tuple[object, ...]]:
     """Rows of the CSV file: fractions of the accessible cells, and of the team."""
     for played in standing.worlds:
         bound, best = played.limits.values()
-        for name, found in _entries(played).items():
+        for name, found in played.entries.items():
             covered = found["coverage"]
             of = (played.name, played.robots, played.cells, bound, "" if best is None else best)
             yield *of, name, covered.mean, *covered.ci95, found["lost"]
-
-
-def _entries(played: WorldResults) -> Json:
-    return {name: {"coverage": played.coverage(name), "lost": played.lost(name)} for name in played.rolled}
-
-
-def _json(standing: Leaderboard) -> Json:
-    """Coverage, bound and optimum: fractions of the accessible cells; lost: of the team."""
-    entries = {row.name: {key: value for key, value in vars(row).items() if key != "name"} for row in standing.entries}
-    worlds = {
-        played.name: {"robots": played.robots, "accessible": played.cells, **played.limits, "entries": _entries(played)}
-        for played in standing.worlds
-    }
-    said = {"answer": headline(standing), "rollouts": standing.rollouts, "seed": standing.seed}
-    return {**said, "entries": entries, "worlds": worlds, **json_end(standing)}

@@ -7,13 +7,14 @@ import pickle
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.report.model import KeyFigure, Report, Section
-from analysis.report.result import Result, asked, json_end, map_text, share_figure
+from analysis.report.result import Result, asked, map_text, share_figure
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.estimates import Z95, Estimate, mean_estimate
 from analysis.statistics.variance_reduction import Paired, difference
@@ -23,8 +24,8 @@ from analysis.utils.pool import answers, wanted_processes
 from analysis.utils.tables import make_table, without_level
 from planner.arguments import argument
 from planner.errors import UsageError
-from planner.files import Json
 from planner.formatting import ceiled, counted, percent
+from planner.json_objects import as_json
 from planner.plan_team import plan_team
 from planner.rollouts.names import of_jax
 from planner.settings import Choices
@@ -120,6 +121,15 @@ class PolicyEvaluation(Result):
     plans: dict[str, Compared]
     walk: str
     partial: bool = False
+    json_keys = """
+        answer=headline robots starts accessible=cells choices.rollouts choices.seed max_steps
+        coverage losses steps random bound score plans
+    """
+
+    @property
+    def robots(self) -> int:
+        """Number of robots."""
+        return len(self.starts)
 
 
 def judge(
@@ -198,7 +208,7 @@ def report(judged: PolicyEvaluation) -> Report:
     level = "± half the 95 % interval, in brackets its ends"
     return Report(
         "policy", "judge", asked(judged.world, robots, "how good is the policy?"), headline(judged),
-        lambda: _json(judged), figures=[share_figure(judged.coverage, "visited on average"), *score],
+        partial(as_json, judged), figures=[share_figure(judged.coverage, "visited on average"), *score],
         heading=(map_text(judged.world, judged.cells, robots),
                  f"{counted(judged.choices.rollouts, 'rollout')}, seed {judged.choices.seed}, at most "
                  f"{judged.world.pace.steps(judged.max_steps)}"),
@@ -213,13 +223,3 @@ def headline(judged: PolicyEvaluation) -> str:
     said = "a random walk" if judged.walk == "random walk" else judged.walk
     walk, bound, covers = percent(judged.random.mean), ceiled(judged.bound, 1), judged.coverage.describe(100, " %")
     return f"It covers {without_level(covers)}{plan}; {said}: {walk}, upper bound: {bound}."
-
-
-def _json(judged: PolicyEvaluation) -> Json:
-    """Coverage: fractions of the accessible cells."""
-    rolled = {"rollouts": judged.choices.rollouts, "seed": judged.choices.seed, "max_steps": judged.max_steps}
-    found = {name: getattr(judged, name) for name in ("coverage", "losses", "steps", "random", "bound", "score")}
-    return {
-        "answer": headline(judged), "robots": len(judged.starts), "starts": judged.starts, "accessible": judged.cells,
-        **rolled, **found, "plans": {name: vars(plan) for name, plan in judged.plans.items()}, **json_end(judged),
-    }  # fmt: skip

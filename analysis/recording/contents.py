@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from analysis.recording.container import Log, LogMessage, open_log
 from analysis.recording.viewers.topics import DATA_TOPICS, OWN
-from analysis.report.result import as_json
 from analysis.theory.bounds import Bounds
 from planner.arguments import MAX_PLAN_BYTES, is_whole
 from planner.errors import InputError
 from planner.files import Json, npz_bytes, unpack_npz
+from planner.json_objects import as_json
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.simulator.codes import Outcome

@@ -322,10 +322,10 @@ def learned_maps(runs: Iterable[SingleRun]) -> Iterator[AreaMap]:
             if kind in (EventKind.ALLOCATED, EventKind.LOOKED_AGAIN):
                 robot[number] = who if kind == EventKind.ALLOCATED else NO_ROBOT
         held = np.full(count, Held.COMPLETED, dtype=np.int8)
-        held[[one.area for one in run.robots if one.on_its_way]] = Held.ASSIGNED
+        held[(owned := run.frame()[2])[owned != NO_AREA]] = Held.ASSIGNED
         held[run.raw.areas["left"][:count] == 0] = Held.COMPLETED
         held[run.open] = Held.UNASSIGNED
-        area = run.loop.on_grid(run.area_of, NO_AREA)
+        area = run.area_of
         now = area.tobytes(), held.tobytes(), robot.tobytes()
         if now != before:
             before = now

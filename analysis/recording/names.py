@@ -34,6 +34,16 @@ def left_over(growing: Path) -> UsageError:
     return UsageError(f"{growing} is left from an earlier run", fix=how_to_clear(growing))
 
 
+def check_names(recording: Path, picture: Path | None = None, animation: Path | None = None) -> None:
+    """Raise UsageError for a wrong suffix, and for a recording that an earlier run left unfinished."""
+    for file, suffix in ((recording, SUFFIX), (picture, ".png"), (animation, ".gif")):
+        if file is not None:
+            check_name(file, suffix)
+    growing = growing_name(recording)
+    if growing.is_symlink() or growing.exists():
+        raise left_over(growing)
+
+
 def how_to_clear(growing: Path) -> str:
     """The fix for a partial file that no process writes."""
     recover = f"recover it with `mrac-jax inspect --repair OUT {growing}` or " if growing.suffix == GROWING else ""

@@ -425,36 +425,24 @@ def durations(trace: Trace, steps: list[int]) -> list[int]:
 
 def _commonest(pictures: Iterator[NDArray[np.uint8]]) -> NDArray[np.uint8]:
     """The most frequent colours of some pictures `[down, across, 3]`, uint8 `[COLOURS, 3]`."""
-    found, counts = np.unique(np.concatenate([_packed(one).ravel() for one in pictures]), return_counts=True)
-    chosen = found[np.argsort(-counts, kind="stable")][:COLOURS]
-    return _rgb(np.pad(chosen, (0, COLOURS - len(chosen)), mode="edge"))
-
-
-def _packed(pixels: NDArray[np.uint8]) -> NDArray[np.uint32]:
-    """Colours `[..., 3]` as integers below 2**24, `[...]`."""
-    packed: NDArray[np.uint32] = pixels.astype(np.uint32) @ np.array([2**16, 2**8, 1], dtype=np.uint32)
-    return packed
-
-
-def _rgb(packed: NDArray[np.uint32]) -> NDArray[np.uint8]:
-    return (packed[..., None] >> np.array([16, 8, 0], dtype=np.uint32)).astype(np.uint8)
-
-
-def _in_colours(picture: NDArray[np.uint8], colours: NDArray[np.uint8], tree: KDTree) -> Image.Image:
-    """The picture `[down, across, 3]` in the palette of the tree, each pixel in the nearest colour."""
-    # A picture has few distinct colours, so the search is done once for each.
-    found, which = np.unique(_packed(picture), return_inverse=True)
-    nearest = tree.query(_rgb(found))[1].astype(np.uint8)
-    image = Image.fromarray(nearest[which].reshape(picture.shape[:2]))
-    image.putpalette(colours.tobytes())
-    return image
+    found: Any = Image.fromarray(np.concatenate(list(pictures))).getcolors(2**24)
+    chosen = [colour for _, colour in sorted(found, key=lambda one: (-one[0], one[1]))[:COLOURS]]
+    return np.pad(np.array(chosen, np.uint8), ((0, COLOURS - len(chosen)), (0, 0)), mode="edge")
 
 
 def _gif(pictures: Iterator[NDArray[np.uint8]], colours: NDArray[np.uint8], milliseconds: list[int]) -> bytes:
-    """The pictures as a GIF whose frames store only changes."""
-    tree = KDTree(colours)
-    frames = (_in_colours(one, colours, tree) for one in pictures)
-    out = io.BytesIO()
+    """The pictures as a GIF whose frames store only changes, each pixel in the nearest of the colours."""
+    tree, packing = KDTree(colours), np.array([2**16, 2**8, 1])
+
+    def frame(picture: NDArray[np.uint8]) -> Image.Image:
+        # A picture has few distinct colours, so the search is done once for each.
+        found, which = np.unique(picture @ packing, return_inverse=True)
+        nearest = tree.query(found[:, None] // packing % 256)[1].astype(np.uint8)
+        image = Image.fromarray(nearest[which].reshape(picture.shape[:2]))
+        image.putpalette(colours.tobytes())
+        return image
+
+    frames, out = map(frame, pictures), io.BytesIO()
     saved: dict[str, Any] = {"save_all": True, "append_images": frames, "duration": milliseconds, "loop": 0}
     next(frames).save(out, format="GIF", disposal=1, optimize=True, transparency=COLOURS, **saved)
     return out.getvalue()

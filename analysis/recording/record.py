@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.inputs import input_path
 from analysis.recording import contents
@@ -33,7 +32,6 @@ from planner.plan.plan import Plan, is_certain
 from planner.plan.state import MissionState
 from planner.rollouts.names import ENGINES, EngineName
 from planner.rollouts.single_run import PythonLoop
-from planner.simulator.codes import NO_ROLLOUT
 from planner.simulator.thresholds import threefry2x32
 from planner.tally import RolloutResults, Tally, Trace
 from planner.world.keys import read_yaml
@@ -101,26 +99,22 @@ class Picker:
 
     def __init__(self, accessible: int) -> None:
         self._counts = np.zeros(accessible + 1, dtype=np.int64)
-        self._top = np.full((accessible + 1, 3), NO_ROLLOUT, dtype=np.int64)  # survived, time, id
+        self._top = np.zeros((0, 4), dtype=np.int64)  # visited, -survived, time, id: the best of each number of cells
         self._worst: tuple[int, int, int, int] | None = None  # visited, survived, -time, id
 
     def add(self, results: RolloutResults) -> None:
         """Add the rollouts of the next ids."""
-        visited = results.visited.astype(np.int64)
+        visited, survived, time = (of.astype(np.int64) for of in (results.visited, results.survived, results.time))
         if not len(visited):
             return
         self._counts += np.bincount(visited, minlength=len(self._counts))
-        # One sort gives the best rollout of every number of cells.
-        order = np.lexsort((results.time, -results.survived, visited))  # a stable sort keeps ids in order
-        firsts = order[np.flatnonzero(np.diff(visited[order], prepend=-1))]
-        new = np.stack([results.survived[firsts], results.time[firsts], results.start + firsts], axis=1)
-        old = self._top[visited[firsts]]
-        # On ties the earlier id stays.
-        better = (old[:, 2] == NO_ROLLOUT) | _above(new, old)
-        self._top[visited[firsts][better]] = new[better]
-        low = np.flatnonzero(visited == visited.min())
-        last = low[np.lexsort((-results.time[low], results.survived[low]))[0]]
-        worst = (int(visited[last]), int(results.survived[last]), -int(results.time[last]), results.start + int(last))
+        new = np.stack([visited, -survived, time, results.start + np.arange(len(visited))], axis=1)
+        rows = np.concatenate([self._top, new])
+        # A stable sort keeps the earlier id first on ties.
+        rows = rows[np.lexsort((rows[:, 2], rows[:, 1], rows[:, 0]))]
+        self._top = rows[np.flatnonzero(np.diff(rows[:, 0], prepend=-1))]
+        last = np.lexsort((-time, survived, visited))[0]
+        worst = int(visited[last]), int(survived[last]), -int(time[last]), int(new[last, 3])
         self._worst = worst if self._worst is None else min(self._worst, worst)
 
     def choose(self, pick: Pick, seed: int) -> int:
@@ -132,12 +126,7 @@ class Picker:
         if pick.q == 0.0:
             assert self._worst is not None
             return self._worst[3]
-        return int(self._top[quantile(self._counts, pick.q), 2])
-
-
-def _above(new: NDArray[np.int64], old: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether each (survived, time) of `new` is better: more survived, then shorter. Ties keep the earlier id."""
-    return (new[:, 0] > old[:, 0]) | ((new[:, 0] == old[:, 0]) & (new[:, 1] < old[:, 1]))
+        return int(self._top[np.searchsorted(self._top[:, 0], quantile(self._counts, pick.q)), 3])
 
 
 # The rollouts of a recording: evaluated as a stream, selected ones in full.
@@ -194,13 +183,13 @@ class Request:
             raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")
 
 
-def engine_of(world: World, plan: Plan, request: Request) -> Engine:
-    """The engine of a request. Raises InputError."""
+def engine_of(stage: Stage, name: EngineName) -> Engine:
+    """The engine of these rollouts. Raises InputError."""
     from planner.rollouts.engine import Rolling, make_engine
 
-    announce_compilation(plan, request.loop)
-    how = Rolling(request.loop, request.first_only, request.seed)
-    return make_engine(plan, world, how, request.engine)
+    announce_compilation(stage.plan, stage.loop)
+    how = Rolling(stage.loop, stage.first_only, stage.seed)
+    return make_engine(stage.plan, stage.world, how, name)
 
 
 def tally_of(engine: Engine, ids: Iterable[int]) -> Tally:
@@ -303,6 +292,7 @@ class Recorded(Result):
         path: the file. settings: of the file. tally: of the evaluated rollouts.
         rows: the recorded rollouts. first: the trace of the first of them.
         partial: it was interrupted; `rows` are the finished rollouts, and the file is marked.
+        files: all that were written. stage: shared data of the rollouts.
         bytes: the file's size. evaluate_seconds, record_seconds: run times of the evaluation and of the recording.
         pace: time of a step, if the world has it.
     """
@@ -315,6 +305,8 @@ class Recorded(Result):
     tally: Tally = field(init=False)
     rows: list[Row] = field(default_factory=list)
     first: Trace = field(init=False)
+    stage: Stage = field(init=False)
+    files: list[Path] = field(default_factory=list)
     partial: bool = False
     bytes: int = 0
     evaluate_seconds: float = 0.0
@@ -350,11 +342,12 @@ def record(
     request.check()
     if not request.outcomes and request.evaluated and is_certain(world, plan, request.loop):
         request = replace(request, evaluated=1)  # all rollouts are equal: every pick is rollout 0
-    engine, began, done = engine_of(world, plan, request), time.perf_counter(), Recorded(Path(path), pace=world.pace)
+    stage = Stage(world, plan, request.loop, request.seed, request.first_only)
+    engine, began, done = engine_of(stage, request.engine), time.perf_counter(), Recorded(Path(path), pace=world.pace)
     log = LogWriter(path, chunk_size=CHUNK_SIZE, discard=True)
     try:
         with log:
-            _write(log, done, world, plan, request, engine, progress, doing)
+            _write(log, done, stage, request, engine, progress, doing)
     except KeyboardInterrupt:
         if log.placed is None:
             raise
@@ -368,15 +361,14 @@ def record(
 def _write(
     log: LogWriter,
     done: Recorded,
-    world: World,
-    plan: Plan,
+    stage: Stage,
     request: Request,
     engine: Engine,
     progress: ProgressCallback | None,
     doing: Doing,
 ) -> None:
     """Write the log; it is kept once a rollout is complete. `doing`: called with the current rollout."""
-    began = time.perf_counter()
+    began, world, plan, done.stage = time.perf_counter(), stage.world, stage.plan, stage
 
     def write(message: Message) -> None:
         log.write(log.channel(message.topic, type_of(message.topic)), message.time, message.data)
@@ -391,7 +383,6 @@ def _write(
     done.evaluate_seconds = time.perf_counter() - began
     done.settings = request.settings(ids, picks)
     _describe(log, done.settings, done.tally, world, plan)
-    stage = Stage(world, plan, request.loop, request.seed, request.first_only)
     doing(f"writing rollout 1 of {len(ids)}")
     for trace, messages in recorded_messages(stage, engine.traces(ids), request.step_seconds):
         row = _row(trace, picks, stage)
@@ -459,7 +450,7 @@ def state_of_rollout(world: World, plan: Plan, request: Request, step: int) -> M
 
 def scenario_text(source: str) -> bytes | None:
     """The text of the scenario file of an INPUT; None for any other input."""
-    file = input_path(source)
+    file = Path() if not source else input_path(source)
     if file.suffix.lower() not in YAML or why_no_file(file):
         return None
     keys = read_yaml(file).value

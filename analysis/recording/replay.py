@@ -18,13 +18,12 @@ from analysis.recording import contents
 from analysis.recording.container import RECOVERED, Log, LogMessage, Recovered, open_log
 from analysis.recording.contents import RecordedOutcomes, RecordedRollout, decode, read_outcomes, read_rollouts
 from analysis.recording.frames import end_text, event_line
-from analysis.recording.record import Picker, Recorded, chunks, parse_picks, recorded_messages, tally_of
+from analysis.recording.record import Picker, Recorded, chunks, engine_of, parse_picks, recorded_messages, tally_of
 from analysis.recording.viewers import topics as schemas
 from analysis.recording.viewers.topics import DATA_TOPICS, Message, Stage, type_of
 from analysis.report.model import Report, Section
 from analysis.theory.bounds import all_bounds
 from analysis.utils.notes import ProgressCallback
-from analysis.utils.progress import announce_compilation
 from analysis.utils.tables import make_table
 from planner.arguments import argument
 from planner.errors import PER_VISIT, InputError, PlanError
@@ -214,17 +213,13 @@ class _Comparison:
 
     def run(self) -> None:
         """Raise Difference at the first difference."""
-        from planner.rollouts.engine import Rolling, make_engine
-
-        source = str(self.log.path)
+        source, settings = str(self.log.path), self.settings
         world = contents.read_world(self.log.attachment(contents.WORLD), source)
         plan = self._plan(world, source)
         self._descriptions(world, plan)
-        first_only = self.settings.threat_checks == "first_visit"
-        how = Rolling(self.settings.loop, first_only, self.settings.seed)
-        announce_compilation(plan, self.settings.loop)
-        engine = make_engine(plan, world, how, self.found.engine)
-        self._rollouts(Stage(world, plan, self.settings.loop, self.settings.seed, first_only), engine)
+        stage = Stage(world, plan, settings.loop, settings.seed, settings.threat_checks == "first_visit")
+        engine = engine_of(stage, self.found.engine)
+        self._rollouts(stage, engine)
         if self.found.everything:
             self._evaluated(engine)
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from html import escape
 from importlib import import_module
 from importlib.metadata import version
-from math import isfinite
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -22,6 +23,7 @@ from analysis.statistics.estimates import Estimate, in_unit, losses_shown
 from analysis.utils.tables import as_text, frame_of, json_text, print_lines, write_all
 from planner.files import Json, check_new
 from planner.formatting import Pace, Rows, counted, html_of, text_of
+from planner.json_objects import as_json
 from planner.settings import Settings
 from planner.world.world import World
 
@@ -68,30 +70,9 @@ WIDE = 140
 """Characters in a line of a folder's text file."""
 
 
-def as_json(value: Any) -> Any:
-    """A JSON value: `to_json()` if it exists, dataclasses by field, arrays and tuples as lists, NaN and inf as None."""
-    if hasattr(value, "to_json"):
-        return as_json(value.to_json())
-    if is_dataclass(value):
-        return {one.name: as_json(getattr(value, one.name)) for one in fields(value)}
-    if isinstance(value, Mapping):
-        return {name: as_json(one) for name, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [as_json(one) for one in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return as_json(value.tolist())
-    # JSON has neither NaN nor infinity.
-    return None if isinstance(value, float) and not isfinite(value) else value
-
-
 def pick(value: Any, names: str) -> Json:
     """Fields of an object by name, for its JSON object; `names`: separated by spaces."""
     return {name: getattr(value, name) for name in names.split()}
-
-
-def value_json(value: Any) -> Json:
-    """The key `value` of a JSON object, if the map has values."""
-    return {} if value.value is None else {"value": value.value}
 
 
 def json_of(report: Report) -> Any:
@@ -193,6 +174,22 @@ class Result:
     """Whether the computation was interrupted; the result then holds the part that was done."""
     listed: ClassVar[str] = ""
     """Key of the list in the JSON object that gives the rows of `to_dataframe`; "": the object is the only row."""
+    json_keys = "version partial?=interrupted"
+
+    @property
+    def headline(self) -> str:
+        """The answer in one sentence."""
+        return report_of(self).headline
+
+    @property
+    def interrupted(self) -> Literal[True] | None:
+        """True if the computation was interrupted."""
+        return True if self.partial else None
+
+    @property
+    def version(self) -> str:
+        """The release that made the result."""
+        return version("mrac-jax")
 
     def to_json(self) -> Json:
         """The JSON object that the command prints."""
@@ -267,11 +264,36 @@ class Searched(Result):
     words: tuple[str, ...] = ()
     partial: bool = False
     notes: tuple[str, ...] = ()
+    json_keys = """
+        robots=team starts accessible=cells choices.rollouts choices.seed engine=engine_or_none exact notes?
+    """
+
+    if TYPE_CHECKING:
+
+        @property
+        def starts(self) -> NDArray[np.int64]: ...
+
+    @property
+    def team(self) -> int:
+        """Number of robots."""
+        return len(self.starts)
+
+    @property
+    def engine_or_none(self) -> str | None:
+        """The engine; None if every value is exact."""
+        return self.engine or None
 
     @property
     def exact(self) -> bool:
         """Whether all values are exact, without rollouts."""
         return not self.engine
+
+
+def cell_counts(world: World, accessible: NDArray[np.bool_]) -> dict[str, int]:
+    """Numbers of cells: total, free, accessible, and accessible with a threat above 0."""
+    dangerous = accessible & (world.threat > 0)
+    counts = {"free": world.free, "accessible": accessible, "dangerous": dangerous}
+    return {"total": world.threat.size} | {name: int(cells.sum()) for name, cells in counts.items()}
 
 
 # Phrases that reports share: the map, the random numbers, coverage and losses, intervals.
@@ -314,24 +336,7 @@ def run_again(words: Sequence[str], how: Sequence[str], choices: RolloutChoices,
     return shlex.join(["mrac-jax", "evaluate", *words, *how, *fresh])
 
 
-def search_end(result: Any) -> Json:
-    """The last keys of a search's JSON object: team, map, rollouts, and the keys of `json_end`."""
-    choices = result.choices
-    return {
-        "robots": len(result.starts),
-        "starts": result.starts,
-        "accessible": result.cells,
-        "rollouts": choices.rollouts,
-        "seed": choices.seed,
-        "engine": result.engine or None,
-        "exact": not result.engine,
-        **json_end(result, result.notes),
-    }
-
-
-def search_report(
-    found: Any, name: str, question: str, summary: str, json: Callable[[], Json], extent: str, rolled: str, **more: Any
-) -> Report:
+def search_report(found: Any, name: str, question: str, summary: str, extent: str, rolled: str, **more: Any) -> Report:
     """The report of a search: its question, the map and the random numbers, notes and settings.
 
     Args:
@@ -344,8 +349,8 @@ def search_report(
         seed_text(world, found.choices, found.engine, rolled),
     )
     settings = {"settings": found.settings.described(world.pace)} | more
-    return Report(name, name, asked(world, robots, question), summary, json, heading=heading, notes=found.notes,
-                  pace=world.pace, **settings)  # fmt: skip
+    return Report(name, name, asked(world, robots, question), summary, partial(as_json, found), heading=heading,
+                  notes=found.notes, pace=world.pace, **settings)  # fmt: skip
 
 
 def team_figure(estimate: Estimate, robots: int, name: str = "robots lost") -> KeyFigure:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from analysis.estimators.racing import Search
 from analysis.estimators.trial import Measured, Trial
-from analysis.report.result import Searched
+from analysis.report.result import Searched, run_again
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import ALPHA, TARGETS, Estimate
 from analysis.theory.verdicts import longest_mission
@@ -213,7 +213,7 @@ class Point:
     """A setting with its estimates.
 
     Attributes:
-        coverage: visited, a fraction of the accessible cells. losses: robots. time: steps.
+        coverage: by the metric of the choices, a fraction of the accessible cells. losses: robots. time: steps.
         value: visited, a fraction of the value of all free cells; None: the map has no values.
         least, most: lower confidence bound of the mean coverage, upper bound of the mean losses; each is wrong with
             probability at most `alpha` of `point_of`.
@@ -228,6 +228,9 @@ class Point:
     least: float
     most: float
     exact: bool = False
+    json_keys = """
+        setting.policy setting.risk_cap setting.robot_value setting.deadline coverage losses time value?
+    """
 
     @property
     def figures(self) -> Figures:
@@ -238,6 +241,20 @@ class Point:
     def sure(self) -> Figures:
         """The bounds in place of the means: a goal that allows them is met with confidence."""
         return Figures(self.least, self.most, self.time.mean)
+
+
+@dataclass(frozen=True)
+class ListedPoint:
+    """A point in the JSON object.
+
+    Attributes:
+        efficient: it is on the Pareto front of coverage, losses and time. first_rollout: the first id of its rollouts.
+    """
+
+    point: Point
+    efficient: bool | None = None
+    first_rollout: int | None = None
+    json_keys = "*point efficient? first_rollout?"
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -265,6 +282,45 @@ class Front(Searched):
     tried: int = 0
     priced: tuple[Point, ...] = ()
     plan_file: str = ""
+    json_keys = """
+        points=listed_points pick choices.metric asked.losses=goal.losses asked.target=goal.target confirmed
+        confirmed.first_rollout=choices.rollouts confirmed.bound=bound confirmed.tried=tried fresh=listed_corners
+        command
+    """
+
+    @property
+    def listed_points(self) -> tuple[ListedPoint, ...]:
+        """All settings."""
+        return tuple(map(ListedPoint, self.points, self.efficient))
+
+    @property
+    def listed_corners(self) -> tuple[ListedPoint, ...]:
+        """Without a goal: the settings of the summary, on fresh rollouts."""
+        return tuple(ListedPoint(point, first_rollout=self.choices.rollouts) for point in self.priced)
+
+    @property
+    def bound(self) -> float | None:
+        """Confidence bound of the limited figure of the selected point: most robots lost, or least coverage."""
+        again = self.confirmed
+        if again is None:
+            return None
+        return again.most if self.goal.losses is not None else again.least
+
+    @property
+    def command(self) -> str | None:
+        """The command that evaluates the selected point on other rollouts; None in Python or without a point."""
+        return None if self.confirmed is None or not self.words else self.command_of(self.confirmed)
+
+    def command_of(self, point: Point) -> str:
+        """The command that evaluates a point; sampled points get another seed."""
+        closed = [] if self.settings.plan_for == "closed_loop" else ["--plan-for", "closed_loop"]
+        how = ["--plan", self.plan_file] if self.plan_file else [*closed, *point.setting.options()]
+        return run_again(self.words, how, self.choices, exact=point.exact)
+
+    @property
+    def verb(self) -> str:
+        """What a team does with cells, for sentences."""
+        return "deliver" if self.choices.metric == "delivered" else "cover"
 
     @cached_property
     def efficient(self) -> tuple[bool, ...]:
@@ -321,11 +377,11 @@ def point_of(setting: Setting, found: Measured, cells: int, alpha: float, longes
     """
     return Point(
         setting,
-        found.mean("visited", 1.0 / cells),
+        found.mean(found.metric, 1.0 / cells),
         found.mean("lost"),
         found.mean("time", 1.0, longest if setting.deadline is None else min(longest, setting.deadline)),
         found.mean("value") if found.counted == "value" else None,
-        found.bounds("visited", 2 * alpha)[0] / cells,
+        found.bounds(found.metric, 2 * alpha)[0] / cells,
         found.bounds("lost", 2 * alpha)[1],
         found.exact,
     )

@@ -10,22 +10,11 @@ from rich.table import Table
 
 from analysis.page.elements import CellLayer
 from analysis.report.model import CellMaps, KeyFigure, Report, Section
-from analysis.report.result import (
-    pick,
-    run_again,
-    search_end,
-    search_report,
-    share_figure,
-    sourced,
-    team_figure,
-    value_json,
-)
+from analysis.report.result import search_report, share_figure, sourced, team_figure
 from analysis.search.start_positions import Place, Starts
-from analysis.search.threats import Attack, Clearing, Gain, Placed, Threat, ThreatCost, by_cell
+from analysis.search.threats import Attack, Clearing, Gain, Threat, ThreatCost, by_cell
 from analysis.statistics.estimates import between, losses_sentence, of_all
 from analysis.utils.tables import Column, in_percents, json_text, table_of, without_level
-from planner.arguments import exactly
-from planner.files import Json
 from planner.formatting import chance, counted, percent
 from planner.world.scenario import team_keys
 
@@ -40,7 +29,7 @@ def starts_report(starts: Starts) -> Report:
     # For teams of starts the number of alternatives is astronomically large, so no share is given.
     share = f", {percent(starts.rolled / all_of_all)} of simulating every one in full" if starts.depot else ""
     return search_report(
-        starts, "starts", "where to start?", starts_summary(starts), lambda: _starts_json(starts),
+        starts, "starts", "where to start?", starts_summary(starts),
         f"{'one depot' if starts.depot else 'a start each'}, {counted(len(starts.candidates), 'candidate')}, "
         f"{counted(len(starts.simulated), 'place')} simulated",
         f"{counted(starts.rolled, 'rollout')}, {choices.rollouts:,} of the last two{share}; ",
@@ -98,22 +87,14 @@ def starts_findings(starts: Starts) -> Iterator[str]:
             f"Significantly better than {starts.beaten} of {counted(len(others), 'other place')} simulated ({how}); "
             f"the worst covers {percent(worst)}{of_value}."
         )
-    if starts.words:
-        yield f"run it: {command_of(starts)}"
-
-
-def command_of(starts: Starts) -> str:
-    """The command that evaluates the best starts with the same options."""
-    at = ";".join(f"{row},{col}" for row, col in starts.starts.tolist())
-    deadline = starts.choices.deadline
-    ends = [] if deadline is None else ["--deadline", str(deadline)]
-    return run_again(starts.words, ["--starts", at, *ends], starts.choices, exact=starts.exact)
+    if starts.command:
+        yield f"run it: {starts.command}"
 
 
 def _starts_key_figures(starts: Starts) -> list[KeyFigure]:
     out, again = list[KeyFigure](), starts.confirmed
     if again is not None and again.counted is not None and again.losses is not None:
-        name = "visited on average" if again.value is None else "of the value visited"
+        name = f"{starts.choices.metric} on average" if again.value is None else "of the value visited"
         fresh = "" if starts.exact else ", fresh rollouts"
         out = [share_figure(again.counted, name, fresh), team_figure(again.losses, len(starts.starts))]
     if starts.gain is not None:
@@ -158,7 +139,7 @@ def _starts_table(starts: Starts) -> Table:
         Column("bound", lambda p: f"{p.screen:.1f}"),
         Column("one robot", lambda p: None if p.one_robot is None else f"{p.one_robot:.1f}"),
         in_percents("value, %", lambda p: p.value, shown=valued),
-        in_percents("visited, %", lambda p: p.coverage),
+        in_percents(f"{starts.choices.metric}, %", lambda p: p.coverage),
         Column("lost", lambda p: p.losses and of_all(p.losses.mean, len(starts.starts))),
         Column("behind, points", behind),
         Column("rollouts", lambda p: f"{p.rollouts:,}" if p.rollouts else ""),
@@ -182,33 +163,6 @@ def _starts_footnotes(starts: Starts) -> list[str]:
     ]
 
 
-def _starts_json(starts: Starts) -> Json:
-    """Coverage: fractions of the accessible cells; `value`: of the value of all cells.
-
-    The figures of the starts are those of fresh rollouts, unless the search was interrupted.
-    """
-    again, here = starts.confirmed, None if starts.here is None else starts.places[starts.here]
-    shown = starts.chosen if again is None else again
-    first = {"first_rollout": starts.choices.rollouts}
-    return {
-        **pick(starts, "starts depot"),
-        "coverage": shown.coverage,
-        **value_json(shown),
-        **pick(starts, "stay gain"),
-        "now": here and _place_json(here, False),
-        "confirmed": again and pick(again, "coverage losses") | value_json(again) | first,
-        "candidates": [_place_json(place, starts.depot) for place in starts.places],
-        "command": command_of(starts) if starts.words else None,
-        "rolled": starts.rolled,
-        **search_end(starts),
-    }
-
-
-def _place_json(place: Place, depot: bool) -> Json:
-    facts = pick(place, "screen one_robot coverage losses behind rollouts")
-    return {"starts": place.starts[:1] if depot else place.starts, **facts, **value_json(place)}
-
-
 # The report of `threats --remove`: the threats to remove, the gain, all threats on the map and in figures.
 
 KINDS = {"areas": "connected areas of equal threat", "sources": "polygons, points and sites of the scenario"}
@@ -220,7 +174,7 @@ CLEAR_SHOWN = 12
 def clear_report(clearing: Clearing) -> Report:
     """The threat to remove first, the map of gains, and every threat."""
     return search_report(
-        clearing, "clear", "which threat to remove first?", removal_summary(clearing), lambda: _clear_json(clearing),
+        clearing, "clear", "which threat to remove first?", removal_summary(clearing),
         f"{counted(len(clearing.options), 'threat')} ({KINDS[clearing.remove]})", _last_two(clearing),
         findings=list(clear_findings(clearing)), figures=_clear_key_figures(clearing),
         picture=lambda: _clear_maps(clearing),
@@ -246,7 +200,7 @@ def removal_summary(clearing: Clearing) -> str:
 
 def place_words(clearing: Clearing, threat: Threat) -> str:
     """A threat's name, size, probability and position."""
-    row, col = _place(clearing, threat)
+    row, col = clearing.place(threat)
     most = "" if threat.thing is None else "at most "
     at = f"{'' if len(threat.cells) == 1 else 'from '}row {row}, column {col}"
     return f"{threat.name} ({counted(len(threat.cells), 'cell')}, {most}p = {chance(threat.p)}, {at})"
@@ -312,7 +266,7 @@ def _clear_table(clearing: Clearing) -> Table:
     """Every threat as the first to be removed, best first."""
     columns = (
         Column("threat", lambda one: one.threat.name, words=True),
-        Column("at", lambda one: "{},{}".format(*_place(clearing, one.threat)), words=True,
+        Column("at", lambda one: "{},{}".format(*clearing.place(one.threat)), words=True,
                shown=clearing.remove == "areas"),
         Column("cells", lambda one: len(one.threat.cells)),
         Column("p, %", lambda one: chance(one.threat.p, unit="")),
@@ -349,27 +303,6 @@ def _clear_footnotes(clearing: Clearing) -> list[str]:
     return lines
 
 
-def _clear_json(clearing: Clearing) -> Json:
-    """Gains in cells, and in value if the map has values."""
-    gain = clearing.gain
-    return {
-        "remove": clearing.remove,
-        "threats": [_clear_threat_json(one) for one in clearing.options],
-        "pick": [threat.name for threat in clearing.picks],
-        "gain": gain and gain.cells.to_json() | {"first_rollout": clearing.choices.rollouts},
-        **({} if gain is None or gain.value is None else {"value_gain": gain.value}),
-        "robots_gain": gain and gain.robots,
-        "turns": [{"name": turn.picked.threat.name} | pick(turn.picked, "known unknown") for turn in clearing.turns],
-        **search_end(clearing),
-    }
-
-
-def _clear_threat_json(one: ThreatCost) -> Json:
-    threat = one.threat
-    p = float(exactly(round(threat.p, 9)))
-    return {"name": threat.name, "cells": threat.cells, "p": p} | pick(one, "screen hits known unknown behind")
-
-
 # The report of `threats --add`: the worst cells, the cost with and without knowledge of them, every cell on the map.
 
 ATTACK_SHOWN = 12
@@ -382,7 +315,7 @@ def attack_report(attack: Attack) -> Report:
     threats = f"{counted(len(attack.known.threats), 'threat')} of {chance(attack.p)}"
     hidden = len(attack.hidden.threats) > 0  # none: it was interrupted before
     return search_report(
-        attack, "attack", "where would a threat cost most?", placement_summary(attack), lambda: _attack_json(attack),
+        attack, "attack", "where would a threat cost most?", placement_summary(attack),
         f"{threats}, {counted(len(attack.turn.options), 'cell')} searched", _last_two(attack),
         findings=list(attack_findings(attack)), figures=_attack_key_figures(attack),
         picture=lambda: _attack_maps(attack),
@@ -481,30 +414,3 @@ def _attack_footnotes(attack: Attack) -> list[str]:
         "from .. to: pointwise 95 % intervals.",
         *(["bound: fall of the policy-independent upper bound."] if attack.turn.picked.screen is not None else []),
     ]
-
-
-def _attack_json(attack: Attack) -> Json:
-    """Costs in cells, and in value if the map has values."""
-    return {
-        "p": attack.p,
-        "known": _placed_json(attack, attack.known),
-        "hidden": _placed_json(attack, attack.hidden),
-        "threats": [_attack_threat_json(attack, one) for one in attack.turn.options],
-        **search_end(attack),
-    }
-
-
-def _placed_json(attack: Attack, placed: Placed) -> Json:
-    return {
-        "cells": [_place(attack, threat) for threat in placed.threats],
-        "loss": {"known": placed.known, "hidden": placed.hidden},
-        "first_rollout": attack.choices.rollouts,
-    }
-
-
-def _place(search: Clearing | Attack, threat: Threat) -> list[int]:
-    return list(divmod(int(threat.cells[0]), search.world.shape[1]))
-
-
-def _attack_threat_json(attack: Attack, one: ThreatCost) -> Json:
-    return {"cell": _place(attack, one.threat), "hidden": one.unknown, **pick(one, "screen known behind")}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import groupby
 from math import ceil
 
@@ -10,26 +11,14 @@ from rich.table import Table
 
 from analysis.page.elements import Chart, Series
 from analysis.report.model import KeyFigure, Report, Section
-from analysis.report.result import (
-    json_end,
-    map_text,
-    pick,
-    run_again,
-    search_end,
-    search_report,
-    seed_text,
-    share_figure,
-    sourced,
-    team_figure,
-    value_json,
-)
+from analysis.report.result import map_text, search_report, seed_text, share_figure, sourced, team_figure
 from analysis.search.pareto import LANDMARKS, Front, Point, Setting, settings_of
 from analysis.search.team_size import TeamPoint, TeamSize, TeamVerdict
 from analysis.statistics.estimates import ALPHA, Estimate, between, losses_sentence, of_all
 from analysis.utils.tables import Column, in_percents, json_text, make_table, table_of, without_level
 from planner.arguments import argument
-from planner.files import Json
 from planner.formatting import ceiled, chance, counted, floored, in_percent, percent
+from planner.json_objects import as_json
 from planner.settings import SETTINGS
 
 
@@ -38,7 +27,7 @@ def size_report(size: TeamSize) -> Report:
     world, chart = size.world, _size_chart(size)
     return Report(
         "size", "size", f"{world.name}: how many robots for {_aim(size)}?", size_summary(size),
-        lambda: _size_json(size), figures=_size_key_figures(size),
+        partial(as_json, size), figures=_size_key_figures(size),
         heading=(f"{map_text(world, size.cells)}, so the target is {size.needed} of them",
                  f"{size.choices.loop} loop, {seed_text(world, size.choices, size.engine)}"),
         picture=lambda: chart, parts=[Section("Teams", [_table(size)], _footnotes(size))], notes=size.notes,
@@ -219,44 +208,6 @@ def _footnotes(size: TeamSize) -> list[str]:
     return lines
 
 
-def _size_json(size: TeamSize) -> Json:
-    """Undefined values are None; coverage values are fractions of the accessible cells."""
-    goal, choices, world = size.goal, size.choices, size.world
-    dangerous = world.accessible(size.starts) & (world.threat > 0)
-    return {
-        **pick(goal, "target confidence complete meaning most"),
-        "deadline": size.deadline,
-        "robots": size.robots,
-        "starts": None if size.robots is None else size.starts[: size.robots],
-        "undecided": size.of(TeamVerdict.UNDECIDED),
-        "not_looked_at": size.passed_over,
-        "curve": [_size_point_json(point) for point in size.points],
-        "confirmed": size.confirmed and _size_point_json(size.confirmed),
-        "cells": {
-            "total": world.threat.size,
-            "free": int(world.free.sum()),
-            "accessible": size.cells,
-            "dangerous": int(dangerous.sum()),
-            "needed": size.needed,
-        },
-        **pick(choices, "seed loop"),
-        "engine": size.engine or None,
-        **json_end(size, size.notes),
-    }
-
-
-def _size_point_json(point: TeamPoint) -> Json:
-    return {
-        "robots": point.robots,
-        "verdict": str(point.verdict),
-        **pick(point, "coverage chance time alive rollouts"),
-        "verdict_interval": point.interval,
-        "exact": point.exact,
-        "ideal": {"coverage": point.ideal_coverage, "chance": point.ideal_chance},
-        **value_json(point),
-    }
-
-
 # `mrac-jax front`: the selected point, or losses by coverage; every setting, as curves and in the table.
 
 TITLES = {
@@ -281,7 +232,7 @@ def front_report(front: Front) -> Report:
     prices = _prices(front)
     settings = settings_of(front.settings, Setting("mrac")).described(front.world.pace)
     return search_report(
-        front, "front", "how many robots does coverage cost?", front_summary(front), lambda: _front_json(front),
+        front, "front", "how many robots does coverage cost?", front_summary(front),
         counted(len(front.points), "setting"), f"{counted(front.choices.rollouts, 'rollout')} each, the same ids; ",
         findings=selection_lines(front), figures=_front_key_figures(front), picture=lambda: over_losses,
         parts=[
@@ -308,7 +259,7 @@ def front_summary(front: Front) -> str:
         points = _reported(front)
         said = ", or ".join(f"{percent(point.coverage.mean)} and lose {_lost(front, point)}" for point in points)
         goal = f"; the goal is {limit}" * bool(front.goal)
-        return f"{team} can cover {said}, on average{_exact(points)}{goal}."
+        return f"{team} can {front.verb} {said}, on average{_exact(points)}{goal}."
     if front.goal.pick([point.figures for point in front.points]) is not None:
         return f"No setting meets the goal with confidence 0.95: {limit}. Allow a little more, or raise --rollouts."
     best = max(front.points, key=lambda one: one.coverage.mean)
@@ -321,7 +272,7 @@ def _limit(front: Front) -> str:
     goal = front.goal
     if goal.losses is not None:
         return f"at most {goal.losses:g} of {counted(len(front.starts), 'robot')} lost"
-    return f"{chance(goal.target or 0, 12)} or more covered"
+    return f"{chance(goal.target or 0, 12)} or more {front.verb}ed"
 
 
 def _exact(points: Sequence[Point]) -> str:
@@ -351,7 +302,7 @@ def selection_lines(front: Front) -> list[str]:
         lines = [f"Best setting found: {_named(front, again)}. {found}", _kept(front, again) + tries]
     if front.words and reported:
         # With three points this is the knee.
-        lines.append(f"run it: {command_of(front, reported[(len(reported) - 1) // 2])}")
+        lines.append(f"run it: {front.command_of(reported[(len(reported) - 1) // 2])}")
     if again is not None and again.setting.deadline is not None:
         end = front.world.pace.step(again.setting.deadline)
         home = "robots return to base by then" if front.settings.return_to is not None else "bring the team home then"
@@ -363,22 +314,17 @@ def _kept(front: Front, again: Point) -> str:
     """The confidence with which the selected point meets the limit."""
     if again.exact:
         return "The goal is met: these figures are exact."
-    bound = f"{floored(again.least, 2)} or more is covered"
+    bound = f"{floored(again.least, 2)} or more is {front.verb}ed"
     if front.goal.losses is not None:
         bound = f"{ceil(100 * again.most) / 100:.2f} robots or fewer are lost"
     return f"The goal is met with confidence 0.95, for all tries together: on average {bound}."
 
 
 def _fresh(front: Front, point: Point) -> str:
-    said = f"{point.coverage.describe(100, ' %')} covered, {losses_sentence(point.losses, len(front.starts))} lost"
+    said = (
+        f"{point.coverage.describe(100, ' %')} {front.verb}ed, {losses_sentence(point.losses, len(front.starts))} lost"
+    )
     return without_level(said).replace(" (exact)", "")
-
-
-def command_of(front: Front, point: Point) -> str:
-    """The command that evaluates a point; sampled points get another seed."""
-    closed = [] if front.settings.plan_for == "closed_loop" else ["--plan-for", "closed_loop"]
-    how = ["--plan", front.plan_file] if front.plan_file else [*closed, *point.setting.options()]
-    return run_again(front.words, how, front.choices, exact=point.exact)
 
 
 def _front_key_figures(front: Front) -> list[KeyFigure]:
@@ -389,7 +335,7 @@ def _front_key_figures(front: Front) -> list[KeyFigure]:
             for point in front.priced
         ]
     return [
-        share_figure(again.coverage, "visited on average", "" if again.exact else ", fresh rollouts"),
+        share_figure(again.coverage, f"{front.choices.metric} on average", "" if again.exact else ", fresh rollouts"),
         team_figure(again.losses, len(front.starts)),
         KeyFigure(front.world.pace.steps(again.time.mean), "mean time", _named(front, again)),
     ]
@@ -411,7 +357,7 @@ def _front_chart(front: Front, which: str) -> Chart:
             for name, points in shown.items() if points
         ),
         "robots lost on average" if robots else f"steps on average{front.world.pace.each}",
-        "visited, % of the accessible cells", unit="%", y_range=(0, 100), fit=True,
+        f"{front.choices.metric}, % of the accessible cells", unit="%", y_range=(0, 100), fit=True,
         at_x=((goal.losses, f"at most {goal.losses:g} lost"),) if robots and goal.losses is not None else (),
         at_y=() if goal.target is None else ((100 * goal.target, f"{chance(goal.target, 12)} target"),),
         note="Farther up and to the left is better.",
@@ -451,7 +397,7 @@ def _points(front: Front, whole: bool = False) -> Table:
         Column("risk cap", lambda p: limit(p.setting.risk_cap)),
         Column("robot value", lambda p: limit(p.setting.robot_value)),
         Column("ends at", lambda p: end(p.setting.deadline)),
-        in_percents("visited, %", lambda p: p.coverage),
+        in_percents(f"{front.choices.metric}, %", lambda p: p.coverage),
         Column("value, %", lambda p: p.value and in_percent(p.value.mean, 2), shown=front.world.value is not None),
         Column("lost", lambda p: p.losses, "from .. to"),
         Column("steps", lambda p: f"{p.time.mean:,.0f}"),
@@ -475,27 +421,3 @@ def _footnote(front: Front) -> str:
         return f"{of}, not dominated in coverage and robots lost{shared}. --out and --json list all."
     biased = "Each entry is the minimum over many settings on the same rollouts, hence slightly too low. "
     return f"{biased * bool(front.engine)}--out and --json list all {settings}; --losses or --target select one."
-
-
-def _front_json(front: Front) -> Json:
-    """Coverage values are fractions of the accessible cells."""
-    again, sure = front.confirmed, Json()
-    if again is not None:
-        bound = again.most if front.goal.losses is not None else again.least
-        sure = {"first_rollout": front.choices.rollouts, "bound": bound, "tried": front.tried}
-    return {
-        "points": [
-            _front_point_json(point) | {"efficient": best}
-            for point, best in zip(front.points, front.efficient, strict=True)
-        ],
-        "pick": front.pick,
-        "asked": pick(front.goal, "losses target"),
-        "confirmed": again and _front_point_json(again) | sure,
-        "fresh": [_front_point_json(point) | {"first_rollout": front.choices.rollouts} for point in front.priced],
-        "command": command_of(front, again) if again is not None and front.words else None,
-        **search_end(front),
-    }
-
-
-def _front_point_json(point: Point) -> Json:
-    return point.setting._asdict() | pick(point, "coverage losses time") | value_json(point)

@@ -23,7 +23,7 @@ from scipy import ndimage
 
 from analysis.estimators.racing import Halving, Search, check_search, screened
 from analysis.estimators.trial import Measured
-from analysis.report.result import Searched
+from analysis.report.result import Searched, run_again
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import Estimate
 from analysis.theory.bounds import best_survival
@@ -51,7 +51,7 @@ class Place:
         screen: policy-independent upper bound of the expected cells visited (or of their value), `sum_c g_c` of
             `reach_chances`.
         one_robot: eq. (4): expected cells (or value) visited by one robot alone; None: not planned.
-        coverage: visited by the team, a fraction of the accessible cells; None: not simulated.
+        coverage: by the team, in the metric of the choices, a fraction of the accessible cells; None: not simulated.
         value: visited, a fraction of the value of all free cells; None: the map has no values.
         losses: robots lost. rollouts: number of rollouts of the estimates.
         behind: interval of the best place's lead in coverage (or value); the intervals of one search are simultaneous
@@ -69,6 +69,7 @@ class Place:
     behind: tuple[float, float] | None = None
     entered: bool = False
     now: bool = False
+    json_keys = "starts screen one_robot coverage losses behind rollouts value?"
 
     @property
     def is_depot(self) -> bool:
@@ -110,10 +111,38 @@ class Starts(Searched):
     rolled: int
     gain: Estimate | None = None
     confirmed: Place | None = None
+    json_keys = """
+        depot choices.metric shown.coverage value?=shown.value stay gain now=present confirmed=confirmed
+        confirmed.first_rollout=choices.rollouts candidates=listed_places command rolled
+    """
+
+    @property
+    def shown(self) -> Place:
+        """The recommended place, on fresh rollouts unless the search was interrupted."""
+        return self.confirmed or self.chosen
+
+    @property
+    def present(self) -> Place | None:
+        """The present starts; None: they lie in another component."""
+        return None if self.here is None else self.places[self.here]
+
+    @property
+    def listed_places(self) -> tuple[Place, ...]:
+        """All places; of a depot its cell alone."""
+        return tuple(replace(place, starts=place.starts[:1]) for place in self.places) if self.depot else self.places
+
+    @property
+    def command(self) -> str | None:
+        """The command that evaluates the best starts with the same options; None in Python."""
+        at = ";".join(f"{row},{col}" for row, col in self.starts.tolist())
+        ends = [] if self.choices.deadline is None else ["--deadline", str(self.choices.deadline)]
+        return run_again(self.words, ["--starts", at, *ends], self.choices, exact=self.exact) if self.words else None
 
     @property
     def covered(self) -> str:
         """The quantity of the figures, for sentences."""
+        if self.choices.metric != "visited":
+            return self.choices.metric
         return "covered" if self.world.value is None else "of the value covered"
 
     @property
@@ -536,7 +565,7 @@ class _Field(Search):
         """The place with its estimates."""
         return replace(
             place,
-            coverage=found.mean("visited", 1.0 / self.cells),
+            coverage=found.mean(found.metric, 1.0 / self.cells),
             value=found.mean("value") if found.counted == "value" else None,
             losses=found.mean("lost"),
             rollouts=found.rollouts,

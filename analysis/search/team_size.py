@@ -10,14 +10,13 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators.racing import Search
 from analysis.estimators.trial import Measured, Trial
-from analysis.report.result import Searched
+from analysis.report.result import Searched, cell_counts
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import TARGETS, Estimate, error_share, exactly, is_at_least, looks
 from analysis.theory.exact import CellValues
@@ -27,7 +26,7 @@ from planner.arguments import BLOCK, MOST_ROLLOUTS, Numbers, argument, check_wor
 from planner.errors import UsageError
 from planner.formatting import counted
 from planner.plan_team import plan_team
-from planner.settings import Settings
+from planner.settings import METRICS, Settings
 from planner.world.start_rule import place_starts
 from planner.world.world import MAX_ROBOTS, World
 
@@ -103,7 +102,7 @@ class TeamBounds:
 def team_upper_bounds(
     world: World, starts: NDArray[np.int64], cells: int, needed: int, last_step: int | None
 ) -> TeamBounds:
-    """Upper bounds for the first 1, 2, ..., K robots of `starts` `[K, 2]`, for both meanings of "covered".
+    """Upper bounds for the first 1, 2, ..., K robots of `starts` `[K, 2]`, for every metric.
 
     The bound of the expectation is that of `analysis.theory.bounds.ideal_team`. Its terms bound the chance too: a team
     that visits `needed` cells has lost fewer than k robots on `needed - 1` different cells before, at best on the least
@@ -153,7 +152,6 @@ def upper_bounds_of(
     return total, chance
 
 
-Meaning = Literal["visited", "survived"]
 CONFIDENCE = 0.95
 """Default confidence with `--complete`."""
 MOST = 64
@@ -168,14 +166,14 @@ class Goal:
         target: fraction of the accessible cells, 0 < target <= 1.
         confidence: None: the expected coverage must reach `target`; else the probability to cover at least `target`
             must reach this value, 0 < confidence < 1.
-        complete: the target is every accessible cell. meaning: of "covered" (docs/spec.md section 2).
+        complete: the target is every accessible cell. meaning: the metric, one of METRICS.
         most: size of the largest team.
     """
 
     target: float
     confidence: float | None = None
     complete: bool = False
-    meaning: Meaning = "visited"
+    meaning: str = "visited"
     most: int = MOST
 
     @property
@@ -188,11 +186,11 @@ def make_goal(
     target: float | None,
     confidence: float | None,
     complete: bool,
-    meaning: Meaning = "visited",
+    meaning: str = "visited",
     most: int | None = None,
 ) -> Goal:
     """The goal of the options. Raises UsageError for a value out of range, or for a contradiction."""
-    check_word("meaning", meaning, ("visited", "survived"))
+    check_word("metric", meaning, METRICS)
     if complete and target is not None:
         raise UsageError(f"both {argument('complete')} and {argument('target')} are given", expected="one of them")
     if target is None and not complete:
@@ -231,6 +229,10 @@ class TeamPoint:
     alive: Estimate | None = None
     exact: bool = False
     value: Estimate | None = None
+    json_keys = """
+        robots verdict coverage chance time alive rollouts verdict_interval=interval exact
+        ideal.coverage=ideal_coverage ideal.chance=ideal_chance value?
+    """
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -255,6 +257,25 @@ class TeamSize(Searched):
     robots: int | None
     alpha: float
     confirmed: TeamPoint | None = None
+    json_keys = """
+        goal.target goal.confidence goal.complete goal.meaning goal.most deadline robots starts=enough_starts
+        undecided not_looked_at=passed_over curve=points confirmed cells=cell_counts choices.loop
+    """
+
+    @property
+    def enough_starts(self) -> NDArray[np.int64] | None:
+        """Start cells `[row, col]` of the smallest team that is enough; None without one."""
+        return None if self.robots is None else self.starts[: self.robots]
+
+    @property
+    def undecided(self) -> tuple[int, ...]:
+        """Teams that are undecided and may still be the smallest."""
+        return self.of(TeamVerdict.UNDECIDED)
+
+    @property
+    def cell_counts(self) -> dict[str, int]:
+        """Numbers of cells: total, free, accessible, dangerous, and needed for the target."""
+        return cell_counts(self.world, self.world.accessible(self.starts)) | {"needed": self.needed}
 
     def of(self, verdict: TeamVerdict) -> tuple[int, ...]:
         """The teams with this verdict that may still be the smallest: those below the one found, if there is one."""
@@ -443,7 +464,7 @@ class _Search(Search):
         """The team's estimates and verdict; in the open loop means are exact."""
         meaning, known = self.goal.meaning, trial.open_loop
         coverage, chance = found.mean(meaning, 1.0 / self.cells), found.chance(meaning, self.needed)
-        value = found.mean("value") if found.counted == "value" else None
+        value = found.mean("value") if found.valued else None
         low, high = (end / self.cells for end in found.bounds(meaning, self.alpha))
         if known is not None:
             coverage = exactly(getattr(known, meaning) / self.cells)

@@ -21,7 +21,6 @@ from analysis.theory.upper_bound import MOST_CELLS, any_strategy, value_bound
 from analysis.utils.notes import Doing, ProgressCallback
 from planner.arguments import Numbers, argument, check_word, whole
 from planner.errors import UsageError
-from planner.files import Json
 from planner.formatting import counted
 from planner.make_plan import make_plan
 from planner.mrac.areas import find_areas
@@ -51,6 +50,11 @@ class Threat:
     cells: NDArray[np.int64]
     p: float
     thing: int | None = None
+
+    @property
+    def shown_p(self) -> float:
+        """The largest probability that a visit destroys a robot, of this threat alone, with nine decimals."""
+        return round(self.p, 9)
 
     def cleared(self, world: World) -> World:
         """The map without this threat; threats that overlap it remain."""
@@ -88,6 +92,7 @@ class Gain:
     robots: Estimate
     rollouts: int
     value: Estimate | None = None
+    json_keys = "*cells value? robots rollouts"
 
     @property
     def counted(self) -> Estimate:
@@ -103,11 +108,6 @@ class Gain:
             return f"{cells}the same losses" + (f" (± {even:.1g})" if even >= EVEN / 10 else "")
         lost = self.robots if self.robots.mean >= 0 else self.robots.negated
         return f"{cells}{lost.describe()} robots lost {words[self.robots.mean >= 0]}"
-
-    def to_json(self) -> Json:
-        """Cells, value and robots as JSON."""
-        worth = {} if self.value is None else {"value": self.value.to_json()}
-        return self.cells.to_json() | worth | {"robots": self.robots.to_json(), "rollouts": self.rollouts}
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +127,7 @@ class ThreatCost:
     unknown: Gain
     known: Gain | None = None
     behind: tuple[float, float] | None = None
+    json_keys = "threat.name threat.cells p=threat.shown_p screen hits known unknown behind"
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +137,7 @@ class Turn:
     options: tuple[ThreatCost, ...]
     pick: int
     rolled: int
+    json_keys = "name=picked.threat.name picked.known picked.unknown"
 
     @property
     def picked(self) -> ThreatCost:
@@ -201,6 +203,10 @@ class ThreatResult(Searched):
         """Unit of gains and costs, for reports."""
         return "cells" if self.world.value is None else "of value"
 
+    def place(self, threat: Threat) -> tuple[int, int]:
+        """Row and column of a threat's first cell."""
+        return divmod(int(threat.cells[0]), self.world.shape[1])
+
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Clearing(ThreatResult):
@@ -217,6 +223,15 @@ class Clearing(ThreatResult):
     remove: Remove
     turns: tuple[Turn, ...]
     gain: Gain | None = None
+    json_keys = """
+        remove threats=options pick=picked_names gain=gain.cells gain.first_rollout=choices.rollouts
+        value_gain?=gain.value robots_gain=gain.robots turns
+    """
+
+    @property
+    def picked_names(self) -> list[str]:
+        """Names of the threats to remove, in order."""
+        return [threat.name for threat in self.picks]
 
     @property
     def picks(self) -> tuple[Threat, ...]:
@@ -478,6 +493,25 @@ class Placed:
     hidden: Gain | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Cells `[row, col]` of placed threats, their cost, and the first id of its rollouts."""
+
+    cells: tuple[tuple[int, int], ...]
+    placed: Placed
+    first_rollout: int
+    json_keys = "cells loss.known=placed.known loss.hidden=placed.hidden first_rollout"
+
+
+@dataclass(frozen=True, eq=False)
+class CellCost:
+    """A cell `[row, col]`, and the cost of a threat in it."""
+
+    cell: tuple[int, int]
+    cost: ThreatCost
+    json_keys = "cell hidden=cost.unknown cost.screen cost.known cost.behind"
+
+
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Attack(ThreatResult):
     """The result of `attack`.
@@ -493,6 +527,25 @@ class Attack(ThreatResult):
     turn: Turn
     known: Placed
     hidden: Placed
+    json_keys = "p known=listed_known hidden=listed_hidden threats=listed_cells"
+
+    @property
+    def listed_known(self) -> Placement:
+        """The placement that costs most if the team knows it."""
+        return self._listed(self.known)
+
+    @property
+    def listed_hidden(self) -> Placement:
+        """The placement that costs most if the team does not know it."""
+        return self._listed(self.hidden)
+
+    def _listed(self, placed: Placed) -> Placement:
+        return Placement(tuple(map(self.place, placed.threats)), placed, self.choices.rollouts)
+
+    @property
+    def listed_cells(self) -> tuple[CellCost, ...]:
+        """The cost of one threat in each cell."""
+        return tuple(CellCost(self.place(one.threat), one) for one in self.turn.options)
 
     @property
     def known_world(self) -> World:

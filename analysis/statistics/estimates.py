@@ -19,6 +19,7 @@ from scipy.special import bdtr, bdtrik, betaincinv, ndtri, stdtrit
 from planner.arguments import MOST_ROLLOUTS, Numbers
 from planner.files import Json
 from planner.formatting import NOTHING, counted, inside, percent
+from planner.json_objects import as_json
 from planner.tally import Tally
 
 # Simultaneous confidence intervals for means and probabilities, for any number of rollouts.
@@ -173,6 +174,7 @@ class Estimate:
     mean: float
     se: float
     ci95: tuple[float, float]
+    json_keys = "mean se ci95=known_interval"
 
     @property
     def half_width(self) -> float:
@@ -261,9 +263,14 @@ class Estimate:
         return Estimate(self.mean * unit, self.se * unit, (self.ci95[0] * unit, self.ci95[1] * unit))
 
     def to_json(self) -> Json:
-        """Mean, standard error and interval; None where a single value does not determine them."""
-        se = self.se if math.isfinite(self.se) else None
-        return {"mean": self.mean, "se": se, "ci95": list(self.ci95) if all(map(math.isfinite, self.ci95)) else None}
+        """Mean, standard error and interval as a JSON object."""
+        said: Json = as_json(self)
+        return said
+
+    @property
+    def known_interval(self) -> tuple[float, float] | None:
+        """The 95 % interval; None where a single value does not determine it."""
+        return self.ci95 if all(map(math.isfinite, self.ci95)) else None
 
 
 @cache

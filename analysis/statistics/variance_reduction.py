@@ -136,7 +136,7 @@ def of_tally(tally: Tally, figure: str) -> Controlled | None:
 def tally_mean(
     tally: Tally, figure: str, unit: float = 1.0, most: int | None = None, certain: bool = False
 ) -> Estimate:
-    """The mean of "visited", "survived", "time", "alive" or "lost", with the control variate if the tally allows it.
+    """The mean of "visited", "survived", "delivered", "time", "alive" or "lost", by the control variate if possible.
 
     `unit`, `most`, `certain`: as in `analysis.statistics.estimates.mean_estimate`, which is used otherwise. Its guards
     against unseen values hold here too.
@@ -146,7 +146,7 @@ def tally_mean(
         (low, high), robots = alive.ci95, tally.robots
         return Estimate((robots - alive.mean) * unit, alive.se * unit, ((robots - high) * unit, (robots - low) * unit))
     counts = getattr(tally, figure)
-    found = None if certain else of_tally(tally, figure)
+    found = None if certain or figure not in FIGURES else of_tally(tally, figure)
     if found is None:
         return mean_estimate(counts, unit, most, certain)
     return _estimate(found, len(counts) - 1 if most is None else most, unit)
@@ -344,6 +344,7 @@ class Difference:
 
     estimate: Estimate
     gain: float
+    json_keys = "*estimate gain"
 
 
 class CommonThresholds(NamedTuple):

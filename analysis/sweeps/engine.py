@@ -16,22 +16,7 @@ from typing import TYPE_CHECKING
 
 from analysis.report.result import Result
 from analysis.sampling import RolloutChoices
-from analysis.sweeps.cases import (
-    RULES,
-    Case,
-    Label,
-    Places,
-    RunResult,
-    Stream,
-    Task,
-    Team,
-    Wanted,
-    canonical,
-    labels_of,
-    run_key,
-    run_task,
-    run_tasks,
-)
+from analysis.sweeps import cases
 from analysis.sweeps.store import Run, Store
 from analysis.sweeps.store_files import cut
 from analysis.utils.pool import Pool, wanted_processes
@@ -60,7 +45,7 @@ class Job:
     (`cases.exact_means`).
     """
 
-    case: Case
+    case: cases.Case
     models: tuple[RolloutChoices, ...]
     rollouts: int
     tag: int = 0
@@ -170,29 +155,27 @@ def check_where(processes: int | None, scheduler: str | Client | None) -> None:
 
 
 @contextmanager
-def _stream(processes: int | None, scheduler: str | Client | None, total: int) -> Iterator[Stream]:
+def _stream(processes: int | None, scheduler: str | Client | None, total: int) -> Iterator[cases.Stream]:
     """The stream of tasks: on a cluster, in this process, or in several processes of this machine."""
     if scheduler is not None:
-        from analysis.sweeps.cases import on_cluster
-
         if processes is not None:
             raise UsageError("processes and scheduler are given", expected="one of them")
-        with on_cluster(scheduler) as stream:
+        with cases.on_cluster(scheduler) as stream:
             yield stream
         return
     count = wanted_processes(processes, total)
     if count == 1:
-        yield lambda tasks: ((task, run_task(task)) for task in tasks)
+        yield lambda tasks: ((task, cases.run_task(task)) for task in tasks)
         return
-    with Pool(run_tasks, count, name=lambda batch: batch[0].case.name) as pool:
+    with Pool(cases.run_tasks, count, name=lambda batch: batch[0].case.name) as pool:
         yield lambda tasks: (
             pair for few, answers in pool.run(_batches(tasks)) for pair in zip(few, answers, strict=True)
         )
 
 
-def _batches(tasks: Iterable[Task]) -> Iterator[list[Task]]:
+def _batches(tasks: Iterable[cases.Task]) -> Iterator[list[cases.Task]]:
     """The tasks in order, in batches of at most BATCH tasks or FEW rollouts."""
-    batch, load = list[Task](), 0
+    batch, load = list[cases.Task](), 0
     for task in tasks:
         rollouts = sum(stop - start for wanted in task.wanted for start, stop in wanted.ids)
         more = rollouts * max(400, task.team.world.threat.size) // 400
@@ -225,14 +208,14 @@ class _Run:
     clock: float = field(default_factory=time.perf_counter)
     again: list[Job] = field(default_factory=list)
     out: dict[int, _Open] = field(default_factory=dict)
-    places: Places = field(default_factory=Places)
+    places: cases.Places = field(default_factory=cases.Places)
     ticket: int = 0
     jobs: int = 0
     rollouts: int = 0
     reused: int = 0
     earlier: int = 0
 
-    def tasks(self, jobs: Iterable[Job]) -> Iterator[Task]:
+    def tasks(self, jobs: Iterable[Job]) -> Iterator[cases.Task]:
         """The tasks of one job after the other; a job without missing ids is finished at once."""
         for job in jobs:
             team = self.places.team(job.case)
@@ -246,21 +229,21 @@ class _Run:
             ticket = self.ticket
             self.out[ticket] = _Open(job, keys, len(split))
             for part in split:
-                yield Task(job.case, team, part, ticket)
+                yield cases.Task(job.case, team, part, ticket)
 
-    def _wanted(self, job: Job, team: Team, model: RolloutChoices) -> Wanted:
-        key, before = run_key(team, model), self.places.earlier_key(job.case, team, model)
+    def _wanted(self, job: Job, team: cases.Team, model: RolloutChoices) -> cases.Wanted:
+        key, before = cases.run_key(team, model), self.places.earlier_key(job.case, team, model)
         if before is not None and self.store.held(before):
             self.earlier += 1
-            self.store.label(before, {RULES: RELEASES[BEFORE]})
+            self.store.label(before, {cases.RULES: RELEASES[BEFORE]})
         missing = self.store.missing(key, 0, job.rollouts)
         held = job.rollouts - sum(stop - start for start, stop in missing)
         if held:
             self.reused += held
-            self.store.label(key, labels_of(job.case, team, model))
-        return Wanted(key, model, missing, job.exact_seconds)
+            self.store.label(key, cases.labels_of(job.case, team, model))
+        return cases.Wanted(key, model, missing, job.exact_seconds)
 
-    def take(self, task: Task, results: list[RunResult]) -> None:
+    def take(self, task: cases.Task, results: list[cases.RunResult]) -> None:
         """Store a task's results; finish its job after its last task."""
         opened = self.out[task.ticket]
         # Another process may have stored overlapping ids meanwhile: the job then runs again.
@@ -288,16 +271,16 @@ class _Run:
         return Finished(self.jobs, self.rollouts, self.reused, seconds, partial, self.earlier)
 
 
-def share_of(team: Team) -> int:
+def share_of(team: cases.Team) -> int:
     """Rollouts of a model in one task: whole blocks if rollouts are fast. Counts do not depend on it."""
     share = SHARE * 400 // max(400, team.world.threat.size)
     # Whole blocks avoid a merge of two parts of one block in the store.
     return share // BLOCK * BLOCK if share >= BLOCK else max(share, LEAST_SHARE)
 
 
-def _split(wanted: list[Wanted], share: int) -> list[tuple[Wanted, ...]]:
+def _split(wanted: list[cases.Wanted], share: int) -> list[tuple[cases.Wanted, ...]]:
     """The wanted ids in tasks of at most `share` for each model, cut at multiples of `share`."""
-    tasks: dict[int, list[Wanted]] = {}
+    tasks: dict[int, list[cases.Wanted]] = {}
     for each in wanted:
         for number, ids in groupby(cut(each.ids, share), lambda part: part[0] // share):
             tasks.setdefault(number, []).append(replace(each, ids=tuple(ids)))
@@ -318,17 +301,17 @@ CHANGES = "?"
 """Mark in the identity of a world whose threats change, move, or are uncertain."""
 
 
-def setting_of(what: Mapping[str, Label]) -> str:
+def setting_of(what: Mapping[str, cases.Label]) -> str:
     """Identity of a run's setting, common to all maps."""
-    return canonical({name: value for name, value in what.items() if name not in (*MAP_LABELS, RULES)})
+    return cases.canonical({name: value for name, value in what.items() if name not in (*MAP_LABELS, cases.RULES)})
 
 
 def runs_by_rules(store: Store) -> Iterator[Run]:
     """All runs; those by earlier rules than others of their setting get the label EARLIER."""
-    latest = {setting_of(what) for what in store.labels() if what.get(RULES) == LATEST}
+    latest = {setting_of(what) for what in store.labels() if what.get(cases.RULES) == LATEST}
     for run in store.runs():
-        is_earlier = RULES not in run.what and setting_of(run.what) in latest
-        yield replace(run, what=run.what | {RULES: EARLIER}) if is_earlier else run
+        is_earlier = cases.RULES not in run.what and setting_of(run.what) in latest
+        yield replace(run, what=run.what | {cases.RULES: EARLIER}) if is_earlier else run
 
 
 def follows_earlier_rules(run: Run, store: Store, homes: dict[str, bool]) -> bool | None:

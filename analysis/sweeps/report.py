@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from functools import partial
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 from rich.table import Table
@@ -18,8 +19,8 @@ from analysis.sweeps.cases import RULES, Label, format_label
 from analysis.sweeps.results import DIFFERENCES, EXACT, FIGURES, FRACTIONS, Results, Row
 from analysis.sweeps.sweep import Sweep
 from analysis.utils.tables import csv_text, make_table
-from planner.arguments import argument
-from planner.files import Json
+from planner.arguments import argument, check_word
+from planner.files import Json, atomic_write
 from planner.formatting import counted, duration, in_percent
 from planner.simulator.codes import Outcome
 from planner.world.planned_map import BEFORE, RELEASES
@@ -187,6 +188,16 @@ def rows_chart(rows: Sequence[Row], figure: str) -> Chart:
     more = f"; {len(lines) - MOST_LINES} further lines are omitted" if len(lines) > MOST_LINES else ""
     look: dict[str, Any] = {"unit": "%", "y_range": (0.0, 100.0)} if figure in PERCENT else {}
     return Chart(NAMES[figure], series, axis.replace("_", " "), over + more, x_words=words, **look)
+
+
+def write_chart(rows: Sequence[Row], figure: str, path: Path) -> None:
+    """Write the chart as a picture, completely or not at all. Raises InputError."""
+    from analysis.page.charts import charts_figure
+    from analysis.pictures import png_of
+
+    check_word("figure", figure, FIGURES)
+    with atomic_write(path, "wb") as out:
+        out.write(png_of(charts_figure, [rows_chart(rows, figure)]))
 
 
 def lines_of(rows: Sequence[Row]) -> tuple[str, tuple[str, ...], dict[str, list[tuple[float, Row]]]]:

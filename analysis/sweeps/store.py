@@ -10,7 +10,7 @@ import json
 import os
 import sqlite3
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import reduce
@@ -22,8 +22,9 @@ from urllib.parse import quote
 
 from analysis.sweeps.cases import Label, RunResult, canonical
 from analysis.sweeps.store_files import Ranges, add_sums, joined, pack, sums_of, unpack, without
-from planner.arguments import BLOCK
-from planner.errors import LOOPS, PER_VISIT, RENAMED, InputError
+from analysis.utils.notes import say
+from planner.arguments import BLOCK, argument
+from planner.errors import LOOPS, PER_VISIT, RENAMED, InputError, UsageError
 from planner.files import Json, printable, why_no_file
 from planner.formatting import counted
 from planner.tally import Tally
@@ -477,6 +478,17 @@ class Store:
             return unpack(blob, tuple((start, stop) for start, stop in json.loads(ids)))
         except (ValueError, TypeError) as error:
             raise damaged(self.path, f"run {str(key)[:12]}, block {block}: {error}") from error
+
+
+def merge_stores(path: Path, others: Sequence[Path]) -> None:
+    """Copy the intact runs of other stores into the one at `path`, with a note for each. Raises InputError."""
+    for other in others:
+        if other.resolve() == path.resolve():
+            raise UsageError(f"{argument('merge', other)} is the store itself", expected="another one")
+    for other in others:
+        with Store.rescue(other) as source, Store.open(path) as target:
+            count, notes = target.merge(source)
+        say([f"{other}: {counted(count, 'run')} taken over", *(f"left out: {note}" for note in notes)])
 
 
 _BY_VISITS = """SELECT 1 FROM runs WHERE what LIKE '%"mode":"fast"%' OR what LIKE '%"mode":"step"%' LIMIT 1"""

@@ -68,6 +68,13 @@ class Bounds:
     theorem3_survived: Theorem3 | None
     ideal_eq7: float
     ideal_team: float
+    json_keys = "eq1 eq2_printed team_survival eq4 eq5 theorem3 ideal_eq7 ideal_team"
+
+    @property
+    def theorem3(self) -> dict[str, Theorem3 | dict[str, None]]:
+        """Eq. (6) by meaning; None for each reading where it is undefined."""
+        found = {"visited": self.theorem3_visited, "survived": self.theorem3_survived}
+        return {meaning: one or dict.fromkeys(Theorem3.__dataclass_fields__) for meaning, one in found.items()}
 
 
 def all_bounds(plan: Plan, world: World) -> Bounds:

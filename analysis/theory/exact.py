@@ -6,9 +6,8 @@ The oracle of the rollouts: the two share only plain types. Axis letters: `K` ro
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields, replace
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,7 @@ from planner.world.world import World
 #
 # Given the true state of the world the robots of an open loop are independent. With one map of M, exact values are the
 # mean over the M maps. With persistent hazards a robot is independent of the others but in the cells that both enter:
-# there the product over robots is replaced by a sum over sets of robots (`Joint`).
+# there the product over robots is replaced by a sum over sets of robots (`_joint`).
 #
 # A single robot needs neither. After m survived entries into a cell with hazard probability q and threat h, the
 # hazard is present with probability q (1 - h)**m / (1 - q + q (1 - h)**m), and the next entry destroys the robot with h
@@ -40,7 +39,7 @@ def alone(plan: Plan, world: World) -> list[NDArray[np.float64]]:
         return [_by_level(robot, uncertainty) for robot in plan.robots]
     if isinstance(uncertainty, Hazard):
         return [_by_hazard(robot, uncertainty.q, uncertainty.h) for robot in plan.robots]
-    return [_entered(world.met, robot) for robot in plan.robots]
+    return [_met(robot, world) for robot in plan.robots]
 
 
 def _entered(values: NDArray[np.float32], robot: RobotPlan) -> NDArray[np.float64]:
@@ -190,8 +189,7 @@ def robot_chances(robot: RobotPlan, world: World, failure_model: FailureModel = 
     Raises WorldError for moving, uncertain or changing threats.
     """
     world.require_certain_map("survival by eq. (1)")
-    threat = world.threat.ravel()[robot.path[robot.entered]].astype(np.float64)
-    return chances_along(robot, threat, failure_model, number)
+    return chances_along(robot, _entered(world.threat, robot), failure_model, number)
 
 
 def chances_along(
@@ -237,25 +235,26 @@ def chances_among(robot: RobotPlan, world: World, failure_model: FailureModel = 
 
 
 def _met(robot: RobotPlan, world: World) -> NDArray[np.float64]:
-    """float64 `[E]`: p of each entry of its path at its step."""
+    """float64 `[E]`: true p of each entry of its path, in the phase of its step."""
     steps = robot.entered
     return world.by_phase.ravel()[world.visits(robot.path[steps], steps)].astype(np.float64)
 
 
 def chances_of(plan: Plan, world: World) -> list[PathChances]:
     """`robot_chances` of every robot. From a mission state, lost robots stay lost, and the first cell costs nothing."""
-    if plan.state is None:
-        own = world.of_robots(plan.failure_model.types, len(plan.robots))
-        return [
-            robot_chances(robot, own[number], plan.failure_model, number) for number, robot in enumerate(plan.robots)
-        ]
-    world.require_certain_map("survival by eq. (1)")
-    begun = []
-    for number, (robot, its) in enumerate(zip(plan.robots, plan.state.robots, strict=True)):
-        threat = world.threat.ravel()[robot.path[robot.entered]].astype(np.float64)
+    return [
+        chances_along(robot, threat, plan.failure_model, number)
+        for number, (robot, threat) in enumerate(zip(plan.robots, _known_threats(plan, world), strict=True))
+    ]
+
+
+def _known_threats(plan: Plan, world: World) -> list[NDArray[np.float64]]:
+    """p of each entry of each robot on a known map, float64 `[E]`."""
+    own = world.of_robots(plan.failure_model.types, len(plan.robots))
+    threats = [_met(robot, of) for robot, of in zip(plan.robots, own, strict=True)]
+    for threat, its in zip(threats, () if plan.state is None else plan.state.robots, strict=False):
         threat[0] = 0.0 if its.alive else 1.0
-        begun.append(chances_along(robot, threat, plan.failure_model, number))
-    return begun
+    return threats
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,6 +263,7 @@ class OpenLoopExact:
 
     Attributes:
         visited_by_cell, survived_by_cell: float64 `[N]`, probability that the cell is covered, in each meaning.
+        delivered_by_cell: float64 `[N]`, probability that it is delivered; NaN without bases, or from a mission state.
         visited_curve, survived_curve: float64 `[T + 1]`, expected cells covered by the end of each step.
         stops_by_cell: float64 `[N]`, expected robots lost in each cell.
         survival: float64 `[K]`, eq. (1).
@@ -274,6 +274,7 @@ class OpenLoopExact:
 
     visited_by_cell: NDArray[np.float64]
     survived_by_cell: NDArray[np.float64]
+    delivered_by_cell: NDArray[np.float64]
     visited_curve: NDArray[np.float64]
     survived_curve: NDArray[np.float64]
     stops_by_cell: NDArray[np.float64]
@@ -281,6 +282,12 @@ class OpenLoopExact:
     alive_chance: NDArray[np.float64]
     time_chance: NDArray[np.float64]
     losses_curve: NDArray[np.float64]
+    json_keys = "visited survived delivered alive losses=expected_losses time=mean_time"
+
+    @property
+    def alive(self) -> float:
+        """Expected number of robots that finish their paths."""
+        return float(self.survival.sum())
 
     @property
     def is_known(self) -> bool:
@@ -296,6 +303,11 @@ class OpenLoopExact:
     def survived(self) -> float:
         """Expected number of cells that some robot entered and survived."""
         return float(self.survived_by_cell.sum())
+
+    @property
+    def delivered(self) -> float:
+        """Expected number of cells delivered (SPEC section 19)."""
+        return float(self.delivered_by_cell.sum())
 
     @property
     def some_left(self) -> float:
@@ -332,27 +344,21 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
     Cost: linear in the total length of the paths.
 
     - One of several maps: the mean over the maps; NaN for several robots on maps drawn by level.
-    - Persistent hazards: inclusion-exclusion over sets of robots (`Joint`); NaN for consumed hazards in shared cells.
+    - Persistent hazards: inclusion-exclusion over sets of robots (`_joint`); NaN for consumed hazards in shared cells.
     - Moving threats make robots dependent: known for one robot, on maps that are not too large (`chances_among`).
     - Phases: p of an entry is that of its step.
     - Robots that do not know the map meet the true map; NaN for a robot that would drive into an obstacle.
 
     Source: docs/spec.md, section 6.
     """
-    if world.phases is not None:
-        robots = [
-            chances_along(robot, _met(robot, world), plan.failure_model, number)
-            for number, robot in enumerate(plan.robots)
-        ]
-        return exact_of(plan, robots, world.threat.size)
-    if world.uncertainty is None and world.knowledge is None:
-        return exact_of(plan, chances_of(plan, world), world.threat.size)
     if world.movers is not None and len(plan.robots) == 1 and is_worth_it(world, plan.makespan):
         waits = max(plan.time - plan.makespan, 0)  # external plans have no waits
         one = chances_among(plan.robots[0], world, plan.failure_model, waits)
         return exact_of(plan, [one], world.threat.size)
     uncertainty, plain = world.uncertainty, plan.failure_model.is_plain
-    if isinstance(uncertainty, Hazard):
+    if world.phases is not None or (uncertainty is None and world.knowledge is None):
+        maps = [_known_threats(plan, world)]
+    elif isinstance(uncertainty, Hazard):
         shared = _shared(plan, uncertainty)
         if plain and len(shared) and uncertainty.kind == "persistent":
             return _exact_joint(plan, uncertainty, shared) or _of_each_alone(plan, world)
@@ -379,46 +385,32 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
     return OpenLoopExact(**sums)
 
 
-@dataclass(frozen=True, eq=False)
-class Joint:
-    """Robots on given paths among persistent hazards, `S` of whose cells several robots enter.
+Survive = Callable[[Iterable[int], Iterable[int]], NDArray[np.float64]]
+"""P(all robots of a set survive their first entries), float64 `[2**n]`; bit i of a set is the i-th robot."""
 
-    Attributes:
-        q, h: float64 `[S]`, probability and threat of the hazard of each shared cell.
-        own: by robot float64 `[E + 1]`, probability to survive its first e entries outside the shared cells.
-        times: by robot int64 `[E + 1, S]`, how often these entries enter each shared cell.
+
+def _joint(plan: Plan, hazard: Hazard, shared: NDArray[np.int64]) -> Survive:
+    """Joint survival of robots on given paths among persistent hazards; `shared`: int64 `[S]`, cells of several robots.
+
+    A hazard destroys none of m entries with probability 1 - q + q (1 - h)**m, and hazards are independent.
     """
+    elsewhere = hazard.q.copy()
+    elsewhere.ravel()[shared] = 0
+    q, h = (of.ravel()[shared].astype(np.float64) for of in (hazard.q, hazard.h))
+    # Of each robot: survival of its first e entries outside the shared cells, and how often they enter each shared one.
+    own = [np.append(1.0, np.cumprod(1.0 - _by_hazard(robot, elsewhere, hazard.h))) for robot in plan.robots]
+    enters = (robot.path[robot.entered][:, None] == shared for robot in plan.robots)
+    often = [np.pad(np.cumsum(each, axis=0), ((1, 0), (0, 0))) for each in enters]
 
-    q: NDArray[np.float64]
-    h: NDArray[np.float64]
-    own: list[NDArray[np.float64]]
-    times: list[NDArray[np.int64]]
-
-    @classmethod
-    def of(cls, plan: Plan, hazard: Hazard, shared: NDArray[np.int64]) -> Self:
-        """The robots of a plan."""
-        elsewhere = hazard.q.copy()
-        elsewhere.ravel()[shared] = 0
-        own, times = [], []
-        for robot in plan.robots:
-            survives = 1.0 - _by_hazard(robot, elsewhere, hazard.h)
-            own.append(np.append(1.0, np.cumprod(survives)))
-            enters = robot.path[robot.entered][:, None] == shared
-            times.append(np.pad(np.cumsum(enters, axis=0), ((1, 0), (0, 0))))
-        q, h = (of.ravel()[shared].astype(np.float64) for of in (hazard.q, hazard.h))
-        return cls(q, h, own, times)
-
-    def survive(self, robots: Iterable[int], entries: Iterable[int]) -> NDArray[np.float64]:
-        """P(all robots of a set survive their first entries), float64 `[2**n]`; bit i of a set is the i-th robot.
-
-        A hazard destroys none of m entries with probability 1 - q + q (1 - h)**m, and hazards are independent.
-        """
-        total, times = np.ones(1), np.zeros((1, len(self.q)), dtype=np.int64)
+    def survive(robots: Iterable[int], entries: Iterable[int]) -> NDArray[np.float64]:
+        total, times = np.ones(1), np.zeros((1, len(shared)), dtype=np.int64)
         for robot, made in zip(robots, entries, strict=True):
-            total = np.append(total, total * self.own[robot][made])
-            times = np.append(times, times + self.times[robot][made], axis=0)
+            total = np.append(total, total * own[robot][made])
+            times = np.append(times, times + often[robot][made], axis=0)
         some = times.any(axis=0)
-        return np.asarray(total * (1 - self.q[some] + self.q[some] * (1 - self.h[some]) ** times[:, some]).prod(axis=1))
+        return np.asarray(total * (1 - q[some] + q[some] * (1 - h[some]) ** times[:, some]).prod(axis=1))
+
+    return survive
 
 
 def _firsts(together: NDArray[np.float64]) -> Iterator[float]:
@@ -433,36 +425,40 @@ def _firsts(together: NDArray[np.float64]) -> Iterator[float]:
 
 def _exact_joint(plan: Plan, hazard: Hazard, shared: NDArray[np.int64]) -> OpenLoopExact | None:
     """Exact values of robots among persistent hazards, of which they share cells; None: too many sets of robots."""
-    joint = Joint.of(plan, hazard, shared)
+    survive = _joint(plan, hazard, shared)
     robots = [chances_along(robot, _by_hazard(robot, hazard.q, hazard.h)) for robot in plan.robots]
     count, horizon = len(robots), 1 + max(int(robot.steps[-1]) for robot in robots)
     who = np.concatenate([np.full(int(r.first.sum()), number) for number, r in enumerate(robots)])
     cell, step = (np.concatenate([getattr(r, name)[r.first] for r in robots]) for name in ("cells", "steps"))
     made = np.concatenate([np.flatnonzero(r.first) for r in robots])
+    delivers = np.concatenate(_deliveries(plan, robots))
+    of_meanings = made, made + 1, np.where(delivers >= 0, delivers + 1, -1)
     order = np.lexsort((step, cell))
     begins = np.append(np.flatnonzero(np.diff(cell[order], prepend=-1)), len(cell))
     running = (np.array([r.steps[-1] for r in robots]) > np.arange(horizon)[:, None]).sum(axis=1)
     if float((2.0 ** np.diff(begins)).sum() + (2.0**running).sum() + 2.0**count) * len(shared) > MOST_TERMS:
         return None
-    by_cell, curves = np.zeros((2, hazard.q.size)), np.zeros((2, horizon))
+    by_cell, curves = np.zeros((3, hazard.q.size)), np.zeros((3, horizon))
     for group in np.split(order, begins[1:-1]):
-        for entered in (0, 1):
-            gains = list(_firsts(joint.survive(who[group], made[group] + entered)))
-            by_cell[entered, cell[group[0]]] = math.fsum(gains)
-            np.add.at(curves[entered], step[group], gains)
-    exactly = joint.survive(range(count), (len(own) - 1 for own in joint.own)).reshape([2] * count)
+        for meaning, entries in enumerate(of_meanings):
+            able = group[entries[group] >= 0]
+            gains = list(_firsts(survive(who[able], entries[able])))
+            by_cell[meaning, cell[group[0]]] = math.fsum(gains)
+            np.add.at(curves[meaning], step[able], gains)
+    exactly = survive(range(count), (len(r.cells) for r in robots)).reshape([2] * count)
     for axis in range(count):
         some, all_ = np.moveaxis(exactly, axis, 0)
         some -= all_
     at_most = np.ones(horizon)
     for time in range(horizon):
         late = [number for number, robot in enumerate(robots) if robot.steps[-1] > time]
-        entries = [int(np.searchsorted(robots[number].steps, time, "right")) for number in late]
-        at_most[time] -= math.fsum(_firsts(joint.survive(late, entries)))
+        passed = [int(np.searchsorted(robots[number].steps, time, "right")) for number in late]
+        at_most[time] -= math.fsum(_firsts(survive(late, passed)))
     return replace(
         exact_of(plan, robots, hazard.q.size),
         visited_by_cell=by_cell[0],
         survived_by_cell=by_cell[1],
+        delivered_by_cell=by_cell[2] if plan.bases and plan.state is None else np.full_like(by_cell[2], np.nan),
         visited_curve=np.cumsum(curves[0]),
         survived_curve=np.cumsum(curves[1]),
         alive_chance=np.bincount(np.bitwise_count(np.arange(2**count)), exactly.ravel()).astype(np.float64),
@@ -476,12 +472,11 @@ def coverage_gradient(plan: Plan, world: World) -> NDArray[np.float64]:
     The probability of an entry has the factor 1 - p for each earlier visit of the cell by the robot. A larger p costs
     the later cells that no other robot covers. Weibull shape and hazard multipliers are ignored.
     """
-    threat = world.threat.ravel().astype(np.float64)
-    robots = [chances_along(robot, threat[robot.path[robot.entered]]) for robot in plan.robots]
-    missed = np.ones((len(robots), threat.size))
+    robots = [chances_along(robot, _entered(world.threat, robot)) for robot in plan.robots]
+    missed = np.ones((len(robots), world.threat.size))
     for mine, robot in zip(missed, robots, strict=True):
         mine[robot.cells[robot.first]] -= robot.reach[robot.first]
-    gradient = np.zeros(threat.size)
+    gradient = np.zeros(world.threat.size)
     for one, robot in enumerate(robots):
         others = np.delete(missed, one, axis=0).prod(axis=0)
         alone = np.where(robot.first, robot.reach * others[robot.cells], 0.0)
@@ -510,6 +505,10 @@ def exact_of(plan: Plan, robots: list[PathChances], cells: int) -> OpenLoopExact
     horizon, state, none = 1 + max(int(r.steps[-1]) for r in robots), plan.state, np.zeros(0, dtype=np.int64)
     before = (none, none) if state is None else (state.visited, state.survived)
     turns = _turns(robots, before[0])
+    delivered = np.full(cells, np.nan)
+    if plan.bases and state is None:
+        back = zip(robots, _deliveries(plan, robots), strict=True)
+        delivered, _ = _coverage(turns, [np.append(r.passed, 0.0)[entry] for r, entry in back], cells, horizon)
     visited, visited_gain = _coverage(turns, [r.reach[r.first] for r in robots], cells, horizon)
     turns = turns if state is None else _turns(robots, before[1])
     survived, survived_gain = _coverage(turns, [r.passed[r.first] for r in robots], cells, horizon)
@@ -523,6 +522,7 @@ def exact_of(plan: Plan, robots: list[PathChances], cells: int) -> OpenLoopExact
     return OpenLoopExact(
         visited_by_cell=visited,
         survived_by_cell=survived,
+        delivered_by_cell=delivered,
         visited_curve=np.cumsum(visited_gain),
         survived_curve=np.cumsum(survived_gain),
         stops_by_cell=stops,
@@ -531,6 +531,15 @@ def exact_of(plan: Plan, robots: list[PathChances], cells: int) -> OpenLoopExact
         time_chance=_time_chance(robots, horizon),
         losses_curve=np.cumsum(lost),
     )
+
+
+def _deliveries(plan: Plan, robots: list[PathChances]) -> list[NDArray[np.int64]]:
+    """Of the first entry of each cell, by robot: the entry of a base at which it is delivered; -1 if there is none."""
+    found = []
+    for robot, bases in zip(robots, plan.bases or [set()] * len(robots), strict=True):
+        at_base = np.flatnonzero(np.isin(robot.cells, list(bases)))
+        found.append(np.append(at_base, -1)[np.searchsorted(at_base, np.flatnonzero(robot.first))])
+    return found
 
 
 Turn = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
@@ -627,8 +636,7 @@ def open_loop_found(plan: Plan, world: World) -> NDArray[np.float64]:
     """
     detect = CellValues.of(world).detect
     total, missed = np.zeros(world.threat.size), np.ones(world.threat.size)
-    for number, path in enumerate(plan.robots):
-        robot = robot_chances(path, world, plan.failure_model, number)
+    for robot in chances_of(plan, world):
         order = np.argsort(robot.cells, kind="stable")
         cells = robot.cells[order]
         first = np.flatnonzero(np.diff(cells, prepend=-1))

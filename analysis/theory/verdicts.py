@@ -153,6 +153,12 @@ class Truth:
     low: float
     high: float
     how: str = "exact"
+    json_keys = "value interval how"
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The interval that contains the value."""
+        return self.low, self.high
 
     @staticmethod
     def known(value: float, how: str = "exact") -> Truth:
@@ -179,6 +185,7 @@ class ClosedTruth:
     rollouts: int
     alive: float | None = None
     time: float | None = None
+    json_keys = "visited survived some_left"
 
     @property
     def further(self) -> dict[str, Any]:
@@ -288,6 +295,15 @@ class Check:
     truth: Truth
     verdict: Verdict
     margin: float
+    json_keys = """
+        key formula=about.name about.reading about.paper about.proven about.direction about.unit
+        meaning=meaning_or_none loop robot value truth verdict margin
+    """
+
+    @property
+    def meaning_or_none(self) -> str | None:
+        """ "visited" or "survived"; None if neither applies."""
+        return self.meaning or None
 
     @property
     def about(self) -> Formula:

@@ -33,7 +33,7 @@ from planner.failure_model import threshold_key
 from planner.rollouts.closed_loop import results_from, tally_from
 from planner.rollouts.engine import Engine
 from planner.rollouts.loop import ClosedLoop
-from planner.rollouts.single_run import SingleRun, play
+from planner.rollouts.single_run import SingleRun
 from planner.tally import RolloutResults, Tally, Trace
 
 LANES = {"cpu": 1024, "gpu": 2**16}
@@ -440,7 +440,7 @@ class JaxClosedLoop(Engine):
         moves, stopped = (rows[:, 3] & (ln.FINAL - 1)).astype(np.int64), rows[:, 3] & ln.STOPPED > 0
         lost = set(zip(robot[stopped].tolist(), (since + moves)[stopped].tolist(), strict=True))
         run = SingleRun(self.loop, self.seed, rollout, hit=lambda robot, step, _: (robot, step) in lost)
-        trace = play(run).trace
+        trace = run.play().trace
         base = self.host.entries.rows[rows[:, 1], BASE]
         ends = self.loop.cells[self.host.cell_at.rows[base + moves]]
         if len(trace.cells) != numbers[ln.TIME] + 1 or (trace.cells[since + moves, robot] != ends).any():

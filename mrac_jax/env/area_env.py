@@ -19,21 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mrac_jax.env.coverage_env import (
-    ACTIONS,
-    Box,
-    CoverageEnv,
-    Discrete,
-    Next,
-    Runs,
-    State,
-    StepBatch,
-    checked_actions,
-    picture_of,
-    supported_settings,
-)
+from mrac_jax.env import coverage_env
 from mrac_jax.process import fixed_flags
-from planner.arguments import MAX_STEP, Numbers, argument, check_word, whole
+from planner.arguments import MAX_STEP, argument, check_word, whole
 from planner.errors import UsageError
 from planner.failure_model import key_of
 from planner.make_plan import allocated
@@ -42,8 +30,6 @@ from planner.policies import DEFAULT, RULES
 from planner.rollouts.single_run import PythonLoop
 from planner.settings import Policy
 from planner.simulator.codes import Outcome
-from planner.world.start_rule import starts_of
-from planner.world.uncertain_maps import Hazard
 from planner.world.world import World
 
 COLUMNS = ("offered", "own", "level", "cost", "unvisited", "entry", "covered", "alive")
@@ -51,12 +37,11 @@ COLUMNS = ("offered", "own", "level", "cost", "unvisited", "entry", "covered", "
 `planner.simulator.offers.Offer`; the share of the accessible cells that is visited; the share of the team alive."""
 
 
-class AreaEnv:
+class AreaEnv(coverage_env.Mission):
     """The mission of a team on a world, with the choice of areas as actions.
 
     Attributes:
-        agents: "agent_0" .. "agent_K-1". num_agents: K. accessible: number of accessible cells. starts: int64 `[K, 2]`.
-        max_steps: end of an episode. robot_value: penalty for a lost robot, in cells.
+        max_steps: end of an episode.
         offers: M, largest number of offered areas. walk: name of the random baseline policy.
     """
 
@@ -74,21 +59,14 @@ class AreaEnv:
         max_steps: int | None = None,
     ) -> None:
         """`rule`: moves the robots and orders the offers. Raises InputError as `CoverageEnv`."""
-        placed = starts_of(world, robots, starts)
-        (world.require_known_map if isinstance(world.uncertainty, Hazard) else world.require_certain_map)(
-            "the environment"
-        )
-        world.require_uniform("the environment")
-        Numbers(0).check("robot_value", robot_value)
-        whole(1, 1024).check("offers", offers)
         if isinstance(rule, str):
             check_word("rule", rule, tuple(RULES))
+        super().__init__(world, robots, starts, robot_value, policy=rule)
+        whole(1, 1024).check("offers", offers)
         whole(1).check("max_steps", max_steps, optional=True)
-        self._problem, self._plan = allocated(world, placed, supported_settings(world, policy=rule))
-        self.world, self.starts, self.robot_value, self.offers = world, placed, float(robot_value), int(offers)
-        self.num_agents, self.accessible = len(placed), int(self._problem.levels.accessible.sum())
+        self._problem, self._plan = allocated(world, self.starts, self.settings)
+        self.offers = int(offers)
         self.max_steps = self._problem.max_steps if max_steps is None else int(max_steps)
-        self.agents = [f"agent_{robot}" for robot in range(self.num_agents)]
 
     @cached_property
     def _loop(self) -> PythonLoop:
@@ -101,13 +79,13 @@ class AreaEnv:
         """State for other processes, which build the loop themselves."""
         return {name: value for name, value in vars(self).items() if name != "_loop"}
 
-    def action_space(self, agent: str) -> Discrete:
+    def action_space(self, agent: str) -> coverage_env.Discrete:
         """0: continue, or with offers none of them; 1 .. M: an offer. A missing offer counts as 0."""
-        return Discrete(self.offers + 1)
+        return coverage_env.Discrete(self.offers + 1)
 
-    def observation_space(self, agent: str) -> Box:
+    def observation_space(self, agent: str) -> coverage_env.Box:
         """float32 `[M, F]`: COLUMNS of each offer."""
-        return Box(0.0, np.inf, (self.offers, len(COLUMNS)))
+        return coverage_env.Box(0.0, np.inf, (self.offers, len(COLUMNS)))
 
     def begin(self, seed: int, rollout: int) -> ChosenRun:
         """A rollout before its first step, with the random numbers of `evaluate`."""
@@ -131,7 +109,7 @@ class AreaEnv:
         if run.decision is not None:
             number = run.decision.robot
             team = 1 - run.now.unvisited / self.accessible, self.alive(run).mean()
-            mine = run.now.robots[number].area
+            mine = run.now.area(number)
             for place, (area, _, offer) in enumerate(run.decision.offers[: self.offers]):
                 own = area == mine
                 seen[number, place] = 1, own, offer.level, offer.cost, offer.unvisited, offer.entry, *team
@@ -171,21 +149,21 @@ class AreaRuns:
     """Environments that run one after the other; see `Runs`."""
 
     def __init__(self, env: AreaEnv, count: int = 1) -> None:
-        self.env, self._next = env, Next(count)
+        self.env, self._next = env, coverage_env.Next(count)
         self._runs: list[ChosenRun] = []
 
-    def reset(self, seed: int | None = None) -> StepBatch:
+    def reset(self, seed: int | None = None) -> coverage_env.StepBatch:
         """As in `Runs`; before the first decision."""
         rollouts = self._next.begin(seed)
         self._runs = [self.env.begin(self._next.seed, int(rollout)) for rollout in rollouts]
         return self._tell(np.zeros((len(self._runs), self.env.num_agents), np.float32))
 
-    def step(self, actions: ArrayLike) -> StepBatch:
+    def step(self, actions: ArrayLike) -> coverage_env.StepBatch:
         """As in `Runs`, with actions `[B, K]`; each environment runs to its next decision."""
         if not self._runs:
             raise RuntimeError("step before reset")
         env = self.env
-        given = checked_actions(actions, (len(self._runs), env.num_agents), env.offers + 1)
+        given = coverage_env.checked_actions(actions, (len(self._runs), env.num_agents), env.offers + 1)
         rewards = np.zeros((len(self._runs), env.num_agents), np.float32)
         rollouts = self._next.after(np.array([run.outcome is not None for run in self._runs]))
         for place, run in enumerate(self._runs):
@@ -198,10 +176,10 @@ class AreaRuns:
             rewards[place] = run.new - new - env.robot_value * (alive & ~env.alive(run))
         return self._tell(rewards)
 
-    def _tell(self, rewards: NDArray[np.float32]) -> StepBatch:
+    def _tell(self, rewards: NDArray[np.float32]) -> coverage_env.StepBatch:
         env, runs = self.env, self._runs
         alive = np.array([env.alive(run) for run in runs])
-        return StepBatch(
+        return coverage_env.StepBatch(
             seen=np.array([env.observe(run) for run in runs]),
             legal=np.array([env.legal(run) for run in runs]),
             rewards=rewards,
@@ -219,7 +197,7 @@ class AreaRuns:
             raise RuntimeError("render before reset")
         now = self._runs[0].now
         cells = now.loop.cells[now.raw.robots["cell"]]
-        return picture_of(self.env.world, now.loop.on_grid(now.visited), cells, now.alive)
+        return coverage_env.picture_of(self.env.world, now.visited, cells, now.alive)
 
 
 # Creation of both environments, and episodes of them.
@@ -240,7 +218,7 @@ def make_env(
     view: int | None = None,
     rule: Policy | None = None,
     offers: int | None = None,
-) -> CoverageEnv | AreaEnv:
+) -> coverage_env.CoverageEnv | AreaEnv:
     """The environment of these actions; arguments as in `mrac.env`. Raises InputError."""
     check_word("actions", actions, get_args(Actions))
     more: dict[str, Any] = {"starts": starts, "robot_value": robot_value, "max_steps": max_steps}
@@ -250,12 +228,12 @@ def make_env(
             problem = f"{argument(name, value)}, with {argument('actions', actions)}"
             raise UsageError(problem, expected=argument("actions", ONLY_OF[name]), fix="omit it")
     own = {name: value for name, value in given.items() if value is not None}
-    return (AreaEnv if actions == "areas" else CoverageEnv)(world, robots, **more, **own)
+    return (AreaEnv if actions == "areas" else coverage_env.CoverageEnv)(world, robots, **more, **own)
 
 
-def runs_of(env: CoverageEnv | AreaEnv, count: int = 1) -> Runs | AreaRuns:
+def runs_of(env: coverage_env.CoverageEnv | AreaEnv, count: int = 1) -> coverage_env.Runs | AreaRuns:
     """Episodes of `count` environments."""
-    return AreaRuns(env, count) if isinstance(env, AreaEnv) else Runs(env, count)
+    return AreaRuns(env, count) if isinstance(env, AreaEnv) else coverage_env.Runs(env, count)
 
 
 # Complete rollouts of a policy in the environment: compiled if the policy is, else called step by step.
@@ -275,7 +253,9 @@ class PolicyRollouts:
         compiled: the rollouts run without Python.
     """
 
-    def __init__(self, env: CoverageEnv | AreaEnv, policy: Callable[..., Any] | None, seed: int, count: int) -> None:
+    def __init__(
+        self, env: coverage_env.CoverageEnv | AreaEnv, policy: Callable[..., Any] | None, seed: int, count: int
+    ) -> None:
         """policy: a function from the observations of all robots, float32 `[K, ...]`, to their actions `[K]`.
 
         A second parameter receives a random key of the rollout (a NumPy generator if it is not compiled). Under
@@ -283,14 +263,14 @@ class PolicyRollouts:
         actions. An invalid policy raises UsageError when it is called.
         """
         self._env, self._policy, self._seed = env, policy, seed
-        self.compiled = isinstance(env, CoverageEnv) and (policy is None or hasattr(policy, "lower"))
+        self.compiled = isinstance(env, coverage_env.CoverageEnv) and (policy is None or hasattr(policy, "lower"))
         seen = 4 * env.num_agents * int(np.prod(env.observation_space(env.agents[0]).shape))
         self._width = min(count, AT_ONCE if self.compiled else max(1, min(AT_ONCE, SEEN // seen)))
         self.spans = [(start, min(start + self._width, count)) for start in range(0, count, self._width)]
 
     @cached_property
-    def _run(self) -> Callable[[jax.Array, jax.Array], tuple[State, Any]]:
-        assert isinstance(self._env, CoverageEnv)
+    def _run(self) -> Callable[[jax.Array, jax.Array], tuple[coverage_env.State, Any]]:
+        assert isinstance(self._env, coverage_env.CoverageEnv)
         if self._policy is None or self.compiled:
             return jax.jit(jax.vmap(_compiled(self._env, self._policy), (None, 0)))
         return _Asked(self._env, self._policy, self._seed)
@@ -305,7 +285,9 @@ class PolicyRollouts:
         # Surplus rollouts of the last group are computed and dropped.
         state, valid = self._run(words, jnp.arange(start, last, dtype=jnp.uint32))
         if not np.asarray(valid).all():
-            raise UsageError("the policy returned actions out of range", expected=_whole_numbers(len(ACTIONS)))
+            raise UsageError(
+                "the policy returned actions out of range", expected=_whole_numbers(len(coverage_env.ACTIONS))
+            )
         visited, lost, steps = (
             np.asarray(of)[: stop - start].astype(np.int64)
             for of in (state.covered, (~state.alive).sum(axis=1), state.step)
@@ -344,7 +326,7 @@ def _chooser(
     return act
 
 
-def _checked(env: CoverageEnv | AreaEnv, actions: Any, most: int) -> NDArray[Any]:
+def _checked(env: coverage_env.CoverageEnv | AreaEnv, actions: Any, most: int) -> NDArray[Any]:
     """The policy's result, if it is an action below `most` for each robot. Raises UsageError."""
     given = np.asarray(actions)
     _check(env, given)
@@ -353,7 +335,7 @@ def _checked(env: CoverageEnv | AreaEnv, actions: Any, most: int) -> NDArray[Any
     return given
 
 
-def _check(env: CoverageEnv | AreaEnv, given: Any) -> None:
+def _check(env: coverage_env.CoverageEnv | AreaEnv, given: Any) -> None:
     if given.shape != (env.num_agents,):
         problem = f"the policy returned actions of shape {given.shape}"
         raise UsageError(problem, expected=f"({env.num_agents},), one for each robot")
@@ -365,12 +347,14 @@ def _whole_numbers(count: int) -> str:
     return f"whole numbers, 0 to {count - 1}"
 
 
-def _compiled(env: CoverageEnv, policy: Callable[..., Any] | None) -> Callable[[jax.Array, jax.Array], tuple]:
+def _compiled(
+    env: coverage_env.CoverageEnv, policy: Callable[..., Any] | None
+) -> Callable[[jax.Array, jax.Array], tuple]:
     """One rollout, `(seed words, id) -> (last state, whether all actions were in range)`."""
     ask = None if policy is None else _asking(policy)
     closed = jnp.float32(-1e9)  # probability 0 without an infinity, which JAX_DEBUG_INFS would report
 
-    def actions_of(state: State, key: jax.Array) -> jax.Array:
+    def actions_of(state: coverage_env.State, key: jax.Array) -> jax.Array:
         if ask is None:
             actions = jax.random.categorical(key, jnp.where(env.legal(state), jnp.float32(0), closed))
         else:
@@ -378,12 +362,12 @@ def _compiled(env: CoverageEnv, policy: Callable[..., Any] | None) -> Callable[[
             _check(env, actions)
         return actions.astype(jnp.int32)
 
-    def step(key: jax.Array, state: State, valid: jax.Array) -> tuple[State, jax.Array]:
+    def step(key: jax.Array, state: coverage_env.State, valid: jax.Array) -> tuple[coverage_env.State, jax.Array]:
         actions = actions_of(state, jax.random.fold_in(key, state.step))
-        valid &= ((actions >= 0) & (actions < len(ACTIONS))).all()
+        valid &= ((actions >= 0) & (actions < len(coverage_env.ACTIONS))).all()
         return env.advance(state, actions)[0], valid
 
-    def one(seed: jax.Array, rollout: jax.Array) -> tuple[State, jax.Array]:
+    def one(seed: jax.Array, rollout: jax.Array) -> tuple[coverage_env.State, jax.Array]:
         key = jax.random.fold_in(jax.random.wrap_key_data(seed, impl="threefry2x32"), rollout)
         begun = env.begin(seed, rollout), jnp.bool_(True)
         return jax.lax.while_loop(lambda now: ~now[0].done, lambda now: step(key, *now), begun)
@@ -394,13 +378,13 @@ def _compiled(env: CoverageEnv, policy: Callable[..., Any] | None) -> Callable[[
 class _Asked:
     """Rollouts side by side, with a Python call for each team's actions."""
 
-    def __init__(self, env: CoverageEnv, policy: Callable[..., Any], seed: int) -> None:
+    def __init__(self, env: coverage_env.CoverageEnv, policy: Callable[..., Any], seed: int) -> None:
         self.env, self.ask, self.seed = env, _asking(policy), seed
         self._begin = jax.jit(jax.vmap(env.begin, (None, 0)))
         self._advance = jax.jit(jax.vmap(self._advanced))
         self._observe = jax.jit(jax.vmap(env.observe))
 
-    def __call__(self, seed: jax.Array, rollouts: jax.Array) -> tuple[State, bool]:
+    def __call__(self, seed: jax.Array, rollouts: jax.Array) -> tuple[coverage_env.State, bool]:
         """The last states, and True: actions were checked; finished rollouts wait for the others."""
         states = self._begin(seed, rollouts)
         draws = [np.random.default_rng([self.seed, int(rollout)]) for rollout in rollouts]
@@ -412,10 +396,10 @@ class _Asked:
             states = self._advance(states, actions)
         return states, True
 
-    def _advanced(self, state: State, actions: jax.Array) -> State:
+    def _advanced(self, state: coverage_env.State, actions: jax.Array) -> coverage_env.State:
         """The next state; a finished rollout does not change."""
         after = self.env.advance(state, actions)[0]
         return jax.tree.map(lambda old, new: jnp.where(state.done, old, new), state, after)
 
     def _asked(self, seen: NDArray[np.float32], draws: np.random.Generator) -> NDArray[np.int32]:
-        return _checked(self.env, self.ask(seen, draws), len(ACTIONS))
+        return _checked(self.env, self.ask(seen, draws), len(coverage_env.ACTIONS))

@@ -150,13 +150,36 @@ class State:
     harmless: jax.Array | None = None
 
 
-class CoverageEnv:
+class Mission:
+    """A team on a world, as all environments have it.
+
+    Attributes:
+        agents: "agent_0" .. "agent_K-1". num_agents: K. accessible: number of accessible cells. starts: int64 `[K, 2]`.
+        robot_value: penalty for a lost robot, in cells. settings: of the planner.
+    """
+
+    def __init__(
+        self, world: World, robots: int | None, starts: ArrayLike | None, robot_value: float, **given: Any
+    ) -> None:
+        """`given`: as of `supported_settings`. Raises InputError."""
+        self.world, self.starts = world, starts_of(world, robots, starts)
+        # Latent hazards are sampled once for each rollout; other uncertain maps are not supported.
+        hazards = isinstance(world.uncertainty, Hazard)
+        (world.require_known_map if hazards else world.require_certain_map)("the environment")
+        world.require_uniform("the environment")
+        self.settings = supported_settings(world, **given)
+        Numbers(0).check("robot_value", robot_value)
+        self.robot_value, self.num_agents = float(robot_value), len(self.starts)
+        self.accessible = int(world.accessible(self.starts).sum())
+        self.agents = [f"agent_{robot}" for robot in range(self.num_agents)]
+
+
+class CoverageEnv(Mission):
     """The mission of a team on a world; arrays `[K, ...]` inside, dicts by agent outside.
 
     Attributes:
-        agents: "agent_0" .. "agent_K-1". num_agents: K. accessible: number of accessible cells.
         max_steps: end of an episode. view: range of observations, in cells; None: the whole map.
-        robot_value: penalty for a lost robot, in cells. walk: name of the random baseline policy.
+        walk: name of the random baseline policy.
     """
 
     walk = "random walk"
@@ -173,21 +196,12 @@ class CoverageEnv:
     ) -> None:
         """Raises InputError for invalid starts or numbers, and for uncertain maps, values, or team settings
         (`supported_settings`) that are not supported."""
-        placed = starts_of(world, robots, starts)
-        # Latent hazards are sampled once for each rollout; other uncertain maps are not supported.
+        super().__init__(world, robots, starts, robot_value)
         self._hazards = world.draws if isinstance(world.uncertainty, Hazard) else None
-        (world.require_certain_map if self._hazards is None else world.require_known_map)("the environment")
-        world.require_uniform("the environment")
-        supported_settings(world)
-        Numbers(0).check("robot_value", robot_value)
         whole(0).check("view", view, optional=True)
         whole(1).check("max_steps", max_steps, optional=True)
-        accessible = world.accessible(placed)
-        self.world, self.starts, self.view, self.robot_value = world, placed, view, float(robot_value)
-        self.num_agents, self.accessible = len(placed), int(accessible.sum())
-        self.max_steps = 2 * self.accessible if max_steps is None else int(max_steps)
-        self.agents = [f"agent_{robot}" for robot in range(self.num_agents)]
-        self._start = (placed[:, 0] * world.shape[1] + placed[:, 1]).astype(np.int32)
+        self.view, self.max_steps = view, 2 * self.accessible if max_steps is None else int(max_steps)
+        self._start = (self.starts[:, 0] * world.shape[1] + self.starts[:, 1]).astype(np.int32)
         self._next = _moves(world)
         # A blocked move is a stay, so it is offered only as "stay".
         self._legal = np.column_stack([np.ones(len(self._next), bool), self._next[:, 1:] != self._next[:, :1]])

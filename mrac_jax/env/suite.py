@@ -9,13 +9,12 @@ from collections.abc import Sequence
 from cyclopts import App
 
 from analysis.cli.app import ALL, run
-from analysis.cli.console import COMMAND, check_folder, deliver, show_pool_progress
+from analysis.cli.console import COMMAND, check_folder, deliver
 from analysis.cli.options import Command, Given, of, option
 from planner.errors import UsageError
 from planner.settings import OPTIONS, SURVEY
 
 NAME = "python -m mrac_jax.env.suite"
-ROLLOUTS = 1000
 OWN = "Policies"
 
 
@@ -25,11 +24,12 @@ def suite(given: Given) -> int:
     The planner's policies, its open loop, a random walk, a policy of your own and plans of other planners run on the
     same random numbers.
     """
-    from analysis.policy_evaluation.leaderboard import choose, own_of, run_suite
+    from analysis.policy_evaluation.leaderboard import Suite
+    from analysis.utils.progress import compiling_elsewhere
     from planner.policies import RULES
 
     check_folder(given.out)
-    names, folders = choose(given.only), {}
+    folders: dict[str, str] = {}
     for text in given.plans or []:
         name, found, folder = text.partition("=")
         if not (name and found and folder):
@@ -39,10 +39,8 @@ def suite(given: Given) -> int:
         folders[name] = folder
     if given.policy is None and given.actions is not None:
         raise UsageError(f"--actions {given.actions} without --policy", fix="add --policy, or leave it out")
-    own = None if given.policy is None else own_of(given.policy, given.actions or "moves")
-    count = ROLLOUTS if given.rollouts is None else given.rollouts
-    with show_pool_progress("worlds", RULES) as progress:
-        answer = run_suite(names, own, folders, count, given.seed, given.processes, progress)
+    with compiling_elsewhere(RULES):
+        answer = given.call(Suite(given.only).judge, plans=folders)
     line = shlex.join([*NAME.split(), *COMMAND.get()])
     return deliver(answer, out=given.out, as_json=given.json, command=line)
 

@@ -11,14 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.mrac.problem import Problem
-from planner.rollouts.closed_loop import trace_from
 from planner.rollouts.single_run import PythonLoop, SingleRun, holds
-from planner.rollouts.tables import first_frames, make_policy
+from planner.rollouts.tables import make_policy
 from planner.simulator.codes import NONE, Outcome
 from planner.simulator.jit import interpreted
 from planner.simulator.offers import Offer
 from planner.simulator.state import AREA_BITS, FAR, VISITED
-from planner.tally import Trace
 
 NOTHING = NONE, NONE, FAR
 """Answer for a robot that takes no area: area, target, cost."""
@@ -153,8 +151,8 @@ class ChosenRun:
         decision: the choice that the next step needs; None before the first `go_on`, and at the end.
     """
 
-    def __init__(self, loop: PythonLoop, seed: int, rollout: int, *, traced: bool = False) -> None:
-        """A rollout of the loop before its first step; `traced`: keep frames and events for `trace`."""
+    def __init__(self, loop: PythonLoop, seed: int, rollout: int) -> None:
+        """A rollout of the loop before its first step."""
         self.now = loop.begin(seed, rollout)
         self.decision: Decision | None = None
         self._chooser = _Chooser(self.now, loop.problem)
@@ -162,9 +160,6 @@ class ChosenRun:
         if self.now.p is not None:  # else a robot may skip a comparison (`replanning.make_first_choice`)
             self.now.p = self.now.p._replace(by_price=False)
         self._saved: list[NDArray[Any]] | None = None
-        state = loop.loop.state
-        self._frames = list(first_frames(state, loop.loop.cells)) if traced and state is not None else []
-        self._events, self._traced = list[NDArray[np.int32]](), traced
 
     @property
     def outcome(self) -> Outcome | None:
@@ -220,13 +215,3 @@ class ChosenRun:
         self._chooser.end()
         self._end()
         self._saved = None
-        if self._traced:
-            self._frames.append(self.now.frame())
-            self._events.append(self.now.new_events)
-
-    def trace(self) -> Trace:
-        """The trace of a finished rollout that was `traced`."""
-        now = self.now
-        assert now.outcome is not None
-        events = np.concatenate(self._events)
-        return trace_from(now.loop, now.rollout, np.array(self._frames), events, now.area_of, now.outcome)

@@ -54,11 +54,11 @@ def seen_by(given: Any, fleet: Fleet, reported: Mapping[int, int]) -> Seen:
     Raises:
         StateError: they cannot be true, or robots cannot react to them.
     """
-    if any(robot.status is Doing.FOLLOWING for robot in fleet.robots) or fleet.problem.stay_inside:
+    if (fleet.raw.robots["doing"] == Doing.FOLLOWING).any() or fleet.problem.stay_inside:
         problem = "robots on external paths, or whose legs stay in their area, cannot react to observed cells"
         raise StateError(problem, expected='a plan with areas, and `transit="grid"`')
     world, found = fleet.problem.world, dict[int, float | None]()
-    (height, width), where = world.shape, {robot.cell for robot in fleet.robots if robot.alive} | {*reported.values()}
+    (height, width), where = world.shape, {*fleet.places.values(), *reported.values()}
     if not isinstance(given, list | tuple):
         raise StateError(f"seen is {given!r:.60}", expected=EXPECTED)
     for one in given:
@@ -125,13 +125,9 @@ def learned_state(
     Returns:
         (state, whether some robot got an area).
     """
-    free = world.free.ravel()
-    here = next(robot.cell for robot in state.robots if robot.alive)
-    # a lost robot on an obstacle is moved to a living one's cell, as where cells are closed
-    robots = tuple(robot if free[robot.cell] else replace(robot, cell=here) for robot in state.robots)
-    state = _without_completed(replace(state, robots=robots))
+    state = _without_completed(_on_free_cells(state, world))
     problem = prepare(world, state.starts, settings, homes=state.homes(settings.return_to))
-    levels, news = problem.levels.of_cell, np.zeros(free.size, dtype=np.bool_)
+    levels, news = problem.levels.of_cell, np.zeros(world.free.size, dtype=np.bool_)
     news[changed] = True
     areas = []
     for area in state.areas:
@@ -142,7 +138,7 @@ def learned_state(
         areas.append(replace(area, level=level))
     state = replace(state, areas=tuple(areas))
     state, got = _believing(problem, state, news)
-    seen = np.zeros(free.size, dtype=np.bool_)
+    seen = np.zeros(len(news), dtype=np.bool_)
     seen[state.visited] = True
     state, left = _without_completed(state), problem.levels.accessible.copy()
     for area in state.areas:
@@ -150,6 +146,13 @@ def learned_state(
     visited, survived = (cells[levels[cells] != NO_LEVEL] for cells in (state.visited, state.survived))
     areas = [*state.areas, *_unheld(world, left, levels, seen)]
     return replace(state, visited=visited, survived=survived, areas=tuple(areas)), got
+
+
+def _on_free_cells(state: MissionState, world: World) -> MissionState:
+    """The state with lost robots on obstacles moved to a living one's cell: starts have to be free cells."""
+    free, here = world.free.ravel(), next(robot.cell for robot in state.robots if robot.alive)
+    robots = (robot if free[robot.cell] else replace(robot, cell=here) for robot in state.robots)
+    return replace(state, robots=tuple(robots))
 
 
 def _believing(problem: Problem, state: MissionState, news: NDArray[np.bool_]) -> tuple[MissionState, bool]:
@@ -220,18 +223,18 @@ def closed_by(given: ArrayLike, reports: Reports) -> tuple[NDArray[np.int64], Wo
         raise StateError(f"cells to close are {given!r:.60}", expected="[[row, col], ...]")
     if not ((found >= 0) & (found < (height, width))).all():
         raise StateError("cells to close lie off the map", expected=f"row 0..{height - 1} and col 0..{width - 1}")
-    if not any(robot.alive for robot in fleet.robots):
+    if not fleet.alive.any():
         raise StateError("every robot is lost", expected="a robot that goes on")
     cells = np.unique(found.astype(np.int64) @ (width, 1))
     reported = [(number, report.cell) for number, report in reports.now.items()]
-    for number, cell in sorted({(robot.number, robot.cell) for robot in fleet.robots if robot.alive} | {*reported}):
+    for number, cell in sorted({*fleet.places.items(), *reported}):
         if cell in cells:
             problem = f"robot {number} is at {at(cell, world)}, which is to be closed"
             raise StateError(problem, expected="cells without a robot", fix="close it when the robot has left it")
     without = closed_world(world, cells)
     part = without.components.ravel()
     for number, cell in reported:
-        if part[cell] != part[fleet.robots[number].cell]:
+        if part[cell] != part[fleet.cell(number)]:
             problem = f"closing these cells cuts robot {number} off from {at(cell, world)}"
             raise StateError(problem, expected="cells to close once the step in which it went there is over")
     return cells, without
@@ -254,17 +257,14 @@ def closed_state(state: MissionState, world: World, levels: int) -> MissionState
         world: with the closed cells.
         levels: most threat levels.
     """
-    here = next(robot.cell for robot in state.robots if robot.alive)
-    free = world.free.ravel()
-    # a lost robot in a closed cell is moved to a living one's: it does nothing, and starts have to be free cells
-    state = replace(state, robots=tuple(r if free[r.cell] else replace(r, cell=here) for r in state.robots))
+    state = _on_free_cells(state, world)
     kept = world.accessible(state.starts).ravel()
     level_of, labels = find_levels(world.threat, kept.reshape(world.shape), levels).of_cell, world.components.ravel()
-    visited = np.zeros(kept.size, dtype=np.bool_)
-    visited[state.visited] = True
+    seen = np.zeros(kept.size, dtype=np.bool_)
+    seen[state.visited] = True
 
     def left_in(cells: NDArray[np.int64]) -> int:
-        return int(np.count_nonzero(~visited[cells]))
+        return int(np.count_nonzero(~seen[cells]))
 
     areas: list[AreaState] = []
     own: dict[int, int] = {}
@@ -283,15 +283,9 @@ def closed_state(state: MissionState, world: World, levels: int) -> MissionState
                 own[robot] = len(areas)
             areas.append(AreaState(int(level_of[part[0]]), robot, what, part))
     robots = tuple(_still(robot, own.get(number, NO_AREA), areas, kept) for number, robot in enumerate(state.robots))
-    return replace(
-        state,
-        sha256=world.sha256,
-        visited=state.visited[kept[state.visited]],
-        survived=state.survived[kept[state.survived]],
-        robots=robots,
-        areas=tuple(areas),
-        quiet=0,
-    )
+    visited, survived = (cells[kept[cells]] for cells in (state.visited, state.survived))
+    covered: dict[str, Any] = {"visited": visited, "survived": survived, "areas": tuple(areas)}
+    return replace(state, sha256=world.sha256, robots=robots, quiet=0, **covered)
 
 
 def _still(robot: RobotState, area: int, areas: list[AreaState], kept: NDArray[np.bool_]) -> RobotState:
@@ -324,11 +318,9 @@ class HazardUpdates:
         self.phases = world.phases
         self.evidence = None if hazard is None else hazard.evidence
         if hazard is not None and hazard.detector is not None:
-            problem, fix = (
-                f"a mission that is driven reads no detector; here: {hazard.description}",
-                "leave out `sensor_range`",
-            )
-            raise WorldError(problem, source=world.source, fix=f"{fix}, and report its readings by `seen`")
+            problem = f"a mission that is driven reads no detector; here: {hazard.description}"
+            fix = "leave out `sensor_range`, and report its readings by `seen`"
+            raise WorldError(problem, source=world.source, fix=fix)
         if self.evidence is None and world.phases is None:
             world.require_known_map("a mission that is driven")
         elif plan.is_external or (plan.settings is not None and plan.settings.transit == "area"):
@@ -409,30 +401,11 @@ class HazardUpdates:
 # reported of, its steps without a move, observed and closed cells, reported ranges, robots without progress, and the
 # outcome. Before step 0 has ended there is no state, and only the rest is kept.
 
-DEFAULTS: dict[str, Any] = {
-    "world": {},
-    "begun": True,
-    "closed": [],
-    "seen": [],
-    "sees": [],
-    "odds": [],
-    "range": None,
-    "aside": [],
-    "reports": [],
-    "heard": [],
-    "waits": [],
-    "ended": None,
-    "over": None,
-}
+DEFAULTS: dict[str, Any] = {"world": {}, "begun": True, "range": None, "ended": None, "over": None}
+DEFAULTS |= {name: [] for name in ("closed", "seen", "sees", "odds", "aside", "reports", "heard", "waits")}
 """Optional keys of a file in addition to a state, or without one."""
-OF_REPORTS: dict[str, Any] = {
-    "cell": None,
-    "stopped": False,
-    "found": False,
-    "moves_left": None,
-    "step": None,
-    "seen": None,
-}
+FLAGS = ("stopped", "found")
+OF_REPORTS: dict[str, Any] = dict.fromkeys(("cell", "moves_left", "step", "seen")) | dict.fromkeys(FLAGS, False)
 """Optional keys of a report."""
 ON_ITS_MAP = "give the map that the mission is on"
 OF_END = ("outcome", "step", "covered", "lost")
@@ -519,10 +492,8 @@ def _outcome(key: Key, settings: Settings) -> str:
 def _as_known(world: World, keys: dict[str, Key]) -> tuple[World, bool]:
     """The world with observed and closed cells, and whether it differs."""
     cell = whole(0, world.threat.size - 1, what="the index of a cell")
-    closed, seen = (
-        [one.number(cell) for one in keys["closed"].items("a list of cells", least=0)],
-        read_seen(keys["seen"]),
-    )
+    closed = [one.number(cell) for one in keys["closed"].items("a list of cells", least=0)]
+    seen = read_seen(keys["seen"])
     for one in seen:
         cell.check("seen", one, StateError, str(keys["seen"].source))
     known = seen_world(world, seen) if seen else world
@@ -557,9 +528,7 @@ def hand_on(report: Callable[..., None], key: Key) -> None:
         StateError: the content is invalid.
     """
     keys = key.mapping(("robot",), defaults=OF_REPORTS)
-    flags = {name: keys[name].value for name in ("stopped", "found")}
-    for name, value in flags.items():
-        if not isinstance(value, bool):
+    for name in FLAGS:
+        if not isinstance(keys[name].value, bool):
             raise keys[name].wrong("true or false")
-    given = {name: keys[name].value for name in ("robot", "cell", "moves_left", "step", "seen")}
-    report(**given, **flags)
+    report(**{name: key.value for name, key in keys.items()})

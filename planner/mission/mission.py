@@ -36,7 +36,7 @@ from planner.mission.team_control import Fleet, Order, Report, Reports, Why
 from planner.mrac.problem import NO_LIMIT, ready_loop
 from planner.plan.plan import Plan
 from planner.plan.state import MissionState
-from planner.rollouts.single_run import NOT_BEGUN, RobotNow, state_of
+from planner.rollouts.single_run import NOT_BEGUN, state_of
 from planner.settings import Settings
 from planner.simulator.codes import Doing, Outcome
 from planner.world.world import World
@@ -67,14 +67,7 @@ class Mission:
         WorldError: the map is unknown or uncertain.
     """
 
-    def __init__(
-        self,
-        world: World,
-        plan: Plan,
-        *,
-        patience: int | None = PATIENCE,
-        gain: float = 1.0,
-    ) -> None:
+    def __init__(self, world: World, plan: Plan, *, patience: int | None = PATIENCE, gain: float = 1.0) -> None:
         FRACTION.check("gain", gain)
         whole(1).check("patience", patience, optional=True)
         if world.movers is not None:
@@ -93,8 +86,7 @@ class Mission:
     def _begin(self, world: World, plan: Plan) -> None:
         # There are no rules yet for reports of robots that differ, or that recharge.
         problem, areas = ready_loop(plan, world)
-        problem.settings.require_no_recharge("a mission that is driven")
-        problem.settings.require_uniform("a mission that is driven")
+        problem.settings.require_uniform("a mission that is driven", "recharge", "deliver_every")
         self.world, self._plan = world, plan
         last_update = self._lessons.last_update(problem.levels.accessible)
         self._fleet = Fleet(problem, replace(plan, areas=areas), self.gain, last_update)
@@ -141,7 +133,7 @@ class Mission:
     @property
     def lost(self) -> tuple[int, ...]:
         """Indices of the lost robots."""
-        return tuple(robot.number for robot in self._fleet.robots if not robot.alive)
+        return tuple(np.flatnonzero(~self._fleet.alive).tolist())
 
     @property
     def _aside(self) -> list[int]:
@@ -175,7 +167,7 @@ class Mission:
         return state_of(fleet, fleet.problem, self._borne)
 
     def _check_kept(self, fleet: Fleet) -> None:
-        if any(robot.status is Doing.FOLLOWING for robot in fleet.robots):
+        if (fleet.raw.robots["doing"] == Doing.FOLLOWING).any():
             # A state holds areas and paths to them, and an external plan has neither.
             problem = "robots follow an external plan, which no state of a mission holds"
             raise StateError(problem, expected="a plan with areas", fix="plan with `plan`, for the closed loop")
@@ -221,18 +213,16 @@ class Mission:
         report can change the orders of others: ask again.
         """
         if self._orders is None:
-            # The step is simulated in a copy, in which robots without a report reach their cells.
-            self._orders = {} if self.outcome is not None else self._play(self._fleet.fork(), True)
+            self._orders = self._simulated(self._reports)
         return self._orders
 
     def first_orders(self) -> dict[int, Order]:
         """The orders of this step before its first report, without cells closed since."""
-        # Reports are set aside for one simulated step, and restored even if that step fails.
-        kept, self._reports = self._reports, Reports(self._fleet)
-        try:
-            return {} if self.outcome is not None else self._play(self._fleet.fork(), True)
-        finally:
-            self._reports = kept
+        return self._simulated(Reports(self._fleet))
+
+    def _simulated(self, reports: Reports) -> dict[int, Order]:
+        """The orders of this step: it is simulated in a copy, in which robots without a report reach their cells."""
+        return {} if self.outcome is not None else self._play(self._fleet.fork(), reports, True)
 
     def report(
         self,
@@ -288,9 +278,9 @@ class Mission:
     def advance(self) -> None:
         """End the step. A robot without report is where it was, or at t = 0 at its start."""
         fleet = self._fleet
-        self._play(fleet, False)
+        self._play(fleet, self._reports, False)
         # Announced phases and estimates first: a reported value replaces them.
-        held, reported = [robot.cell for robot in fleet.robots if robot.alive], self._reports.seen
+        held, reported = fleet.places.values(), self._reports.seen
         told = self._lessons.at_end(fleet.step, self.world, held) | reported
         # A cell that an operator has closed stays closed, whatever is observed there.
         seen = {cell: p for cell, p in told.items() if cell not in self.closed}
@@ -325,51 +315,50 @@ class Mission:
         Args:
             orders: by robot.
         """
-        cells = [robot.cell for robot in self._fleet.robots]
-        begins = self.step == 0
+        fleet, begins = self._fleet, self.step == 0
         return tuple(
-            order.robot
-            for order in orders.values()
-            if order.robot not in self._reports.now and (begins or self._index(order.cell) != cells[order.robot])
+            robot
+            for robot, order in orders.items()
+            if robot not in self._reports.now and (begins or self._index(order.cell) != fleet.cell(robot))
         )
 
-    def _play(self, fleet: Fleet, ahead: bool) -> dict[int, Order]:
+    def _play(self, fleet: Fleet, reports: Reports, ahead: bool) -> dict[int, Order]:
         """Play the step in `fleet` up to its end; its orders. `ahead`: robots without report reach their cells."""
         orders: dict[int, Order] = {}
         fleet.begin_step()
-        for number, cell in self._reports.passed:
+        for number, cell in reports.passed:
             fleet.visit(number, cell)
             if not ahead:
                 self._lessons.learn(cell, stopped=False)
-        for robot in fleet.robots:
-            number, report = robot.number, self._reports.now.get(robot.number)
-            if report is not None and report.found and not robot.alive:
+        for number in range(self.robots):
+            report = reports.now.get(number)
+            if report is not None and report.found and not fleet.alive[number]:
                 fleet.find(number)
             # A robot set aside for lack of progress gets work again once it moves or is recharged.
-            if report is not None and (report.cell != robot.cell or report.moves_left):
+            if report is not None and (report.cell != fleet.cell(number) or report.moves_left):
                 fleet.bring_back(number)
-            if not robot.alive:
+            if not fleet.alive[number]:
                 continue
             due = fleet.decide(number)
-            orders[number] = self._order(fleet, robot, due)
+            orders[number] = self._order(fleet, number, due)
             # At t = 0 robots are placed at their starts, so no report is needed for that.
             if report is None and due is not None and (ahead or fleet.step == 0):
                 report = Report(due)
             came = self._turn(fleet, number, due, report)
             if not ahead:
-                self._keep_count(robot, came, due)
+                self._keep_count(number, came, due)
         return orders
 
-    def _order(self, fleet: Fleet, robot: RobotNow, due: int | None) -> Order:
+    def _order(self, fleet: Fleet, number: int, due: int | None) -> Order:
         """The order from a robot's decision; a robot that gets its area in this step stays and sees its path."""
-        ahead, width = robot.ahead, self.world.shape[1]
+        ahead, width = fleet.loop.cells[fleet.path_ahead(number)].tolist(), self.world.shape[1]
         # The ordered cell comes first in `cells`, so it must not be listed twice.
         if due is not None and ahead[:1] == [due]:
             ahead = ahead[1:]
-        waits = robot.held or robot.number in fleet.aside or robot.moves == 0
-        why = WHY.get(robot.status, "hold" if waits else "idle")
-        cells = [divmod(cell, width) for cell in [robot.cell if due is None else due, *ahead]]
-        return Order(robot.number, cells[0], tuple(cells[1:]), robot.area, why)
+        waits = fleet.raw.robots["held"][number] or number in fleet.aside or fleet.moves_left(number) == 0
+        why = WHY.get(fleet.doing(number), "hold" if waits else "idle")
+        cells = [divmod(cell, width) for cell in [fleet.cell(number) if due is None else due, *ahead]]
+        return Order(number, cells[0], tuple(cells[1:]), fleet.area(number), why)
 
     def _turn(self, fleet: Fleet, number: int, due: int | None, report: Report | None) -> bool:
         """Play the turn of a robot that was to enter `due`; True if it entered a cell."""
@@ -392,17 +381,16 @@ class Mission:
             fleet.go_on(number)
         return came
 
-    def _keep_count(self, robot: RobotNow, came: bool, due: int | None) -> None:
+    def _keep_count(self, number: int, came: bool, due: int | None) -> None:
         """Update a robot's cumulative hazard, its report, and its number of steps without a move."""
-        number = robot.number
+        fleet, cell = self._fleet, self._fleet.cell(number)
         if came:
-            p = self._lessons.met(self._fleet.step, self.world).flat[robot.cell]
-            self._borne[number] += int(exposure_of(p))
-        if came or not robot.alive:
-            self._lessons.learn(robot.cell, stopped=not robot.alive)
+            self._borne[number] += int(exposure_of(self._lessons.met(fleet.step, self.world).flat[cell]))
+        if came or not fleet.alive[number]:
+            self._lessons.learn(cell, stopped=not fleet.alive[number])
         self._waits[number] = 0 if came or due is None else self._waits[number] + 1
-        if self.patience is not None and self._waits[number] >= self.patience and robot.busy:
-            self._fleet.set_aside(number)
+        if self.patience is not None and self._waits[number] >= self.patience and fleet.doing(number) in WHY:
+            fleet.set_aside(number)
 
     def call_off(self) -> None:
         """End the mission: all robots return to base.

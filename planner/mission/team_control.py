@@ -18,10 +18,10 @@ from planner.plan.plan import Plan
 from planner.plan.reading import at
 from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.single_run import NOT_BEGUN, SingleRun, holds
-from planner.simulator.codes import NO_AREA, NONE, Doing, Outcome
+from planner.simulator.codes import MOVES, NO_AREA, NONE, Doing, Outcome
 from planner.simulator.jit import interpreted
 from planner.simulator.offers import Offer
-from planner.simulator.state import AREA_BITS, MOVES, SURVIVED, TO_DO, VISITED
+from planner.simulator.state import AREA_BITS, SURVIVED, TO_DO, VISITED
 
 
 class Fleet(SingleRun):
@@ -43,10 +43,8 @@ class Fleet(SingleRun):
         """Args: `last_update`: begin of the last announced phase that changes the map, 0: none."""
         super().__init__(compile_closed_loop(plan, problem.world, problem=problem, interpreted=True))
         # A visit may destroy a robot in any cell: it counts as survived only once that is reported.
-        self.t = self.t._replace(
-            bound=np.zeros_like(self.t.bound), phases=np.zeros(1, dtype=np.int64), phased=True, notes=None,
-            last_update=last_update,
-        )  # fmt: skip
+        phases: dict[str, Any] = {"phases": np.zeros(1, dtype=np.int64), "phased": True, "last_update": last_update}
+        self.t = self.t._replace(bound=np.zeros_like(self.t.bound), notes=None, **phases)
         self.problem, self.gain, self.aside = problem, gain, set[int]()
         # A resumed state may be complete already, before any step.
         if self.step != NOT_BEGUN:
@@ -57,6 +55,11 @@ class Fleet(SingleRun):
         other = super().fork()
         other.aside = self.aside.copy()
         return other
+
+    @property
+    def places(self) -> dict[int, int]:
+        """The cell of each robot that is not lost."""
+        return {number: self.cell(number) for number in np.flatnonzero(self.alive).tolist()}
 
     # --- steps ---
 
@@ -159,14 +162,14 @@ class Fleet(SingleRun):
 
     def stop(self, number: int) -> None:
         """The robot, which has just entered its cell, is lost there."""
-        self.left[number] = self.moves_left(number)
+        self._count_moves()  # it may have begun to move in this step
         interpreted("visits").lose(self.t, self.s, self.c, self.w, self.log, number)
         # A comparison that a robot made before may be outdated by the loss.
         interpreted("areas").compare_again(self.s)
 
     def survive(self, number: int) -> None:
         """The robot has survived the cell that it has just entered."""
-        interpreted("visits").survive(self.s, self.c, self.s.robots[number].cell)
+        interpreted("visits").survive(self.t, self.s, self.c, number, self.s.robots[number].cell)
         self._arrive(number)
 
     def _arrive(self, number: int) -> None:
@@ -189,18 +192,13 @@ class Fleet(SingleRun):
             number: index of the robot.
             cell: index `row * W + col`.
         """
-        step, me, width = self.s.marks.step, self.s.robots[number], self.problem.world.shape[1]
+        me, width = self.s.robots[number], self.problem.world.shape[1]
         ahead = self.path_ahead(number)
         before = ahead if me.doing == Doing.COVERING else ahead[-1:]
         here, there = divmod(int(self.loop.cells[me.cell]), width), divmod(cell, width)
         # The robot used as many moves as the distance from where it was, instead of the one that was decided.
-        left = max(
-            0, self.moves_left(number) + self._moves_now - sum(abs(a - b) for a, b in zip(here, there, strict=True))
-        )
-        if holds(self.raw.movers, number) or holds(self.raw.waiting, number):
-            me.until = left + (step if holds(self.raw.movers, number) else 0)
-        else:
-            self.left[number] = left
+        used = sum(abs(a - b) for a, b in zip(here, there, strict=True)) - self._moves_now
+        self._set_moves(number, max(0, self.moves_left(number) - used))
         # Kernels number the accessible cells only, in the order of their indices.
         at = int(np.searchsorted(self.loop.cells, cell))
         self._enter(number, at)
@@ -209,13 +207,12 @@ class Fleet(SingleRun):
     def go_on(self, number: int) -> None:
         """A displaced robot, or one at the end of its range, has survived: it continues from its cell."""
         t, p, s, w, log, how, me = self.t, self.p, self.s, self.w, self.log, self.how, self.s.robots[number]
-        interpreted("visits").survive(s, self.c, me.cell)
+        interpreted("visits").survive(t, s, self.c, number, me.cell)
         if t.returns and me.doing == Doing.RETURNING:
             interpreted("return_home").move_to_base(t, s, log, number)
         elif self.moves_left(number) == 0:
-            if number not in self.left:
+            if holds(self.raw.movers, number) or holds(self.raw.waiting, number):
                 interpreted("return_home").stay(t, s, w, log, number)
-                self.left[number] = 0
         elif me.doing == Doing.FOLLOWING:
             self._arrive(number)
         elif interpreted("areas").has_area(s.robots, number):
@@ -237,7 +234,7 @@ class Fleet(SingleRun):
                 me.doing = Doing.DONE
             elif holds(self.raw.movers, number) or ahead > 0:
                 me.doing, me.next = Doing.RETURNING, t.onward[t.home_of[number], me.cell]
-                interpreted("state").put(s.movers, number)
+                self._move_again(number)
         elif me.doing == Doing.FOLLOWING:
             step = s.marks.step
             due = int(t.given[number, min(max(step, 1), t.length[number])])
@@ -357,6 +354,9 @@ class Fleet(SingleRun):
                 s.home[at] = int(s.home[at]) & ~TO_DO
         elif s.home[at] & SURVIVED == 0:
             interpreted("visits").mark_survived(s, self.c, at)
+        if len(s.carried):
+            interpreted("state").put(s.carried[number], at)
+            interpreted("visits").deliver(self.t, s, number, at)
 
     def find(self, number: int) -> None:
         """A lost robot is back."""
@@ -377,11 +377,8 @@ class Fleet(SingleRun):
         """Make the robot available for areas, if it has moves left."""
         me, left = self.s.robots[number], self.moves_left(number)
         me.doing, me.until = doing if left > 0 else Doing.DONE, left
-        self.left.pop(number, None)
         if left > 0:
             interpreted("state").put(self.s.waiting, number)
-        else:
-            self.left[number] = 0
 
     def set_aside(self, number: int) -> None:
         """The robot makes no progress: its work is reassigned until it moves."""
@@ -392,9 +389,10 @@ class Fleet(SingleRun):
         """Release the robot's work."""
         t, s, w, log, me = self.t, self.s, self.w, self.log, self.s.robots[number]
         owns, followed, area = interpreted("areas").has_area(s.robots, number), me.doing == Doing.FOLLOWING, me.area
-        self.left[number] = self.moves_left(number)
+        self._count_moves()
         interpreted("state").drop(s.movers, number)
         interpreted("state").drop(s.waiting, number)
+        self._count_moves()
         me.doing = Doing.DONE
         home = interpreted("return_home")
         if owns:
@@ -428,7 +426,8 @@ class Fleet(SingleRun):
         """Start the return of robots without progress too."""
         for number in sorted(self.aside - self.turned):
             if self.s.robots[number].doing != Doing.DEAD and self.moves_left(number) > 0:
-                self.s.robots[number].until = self.left.pop(number) + self._turns(number)
+                self._move_again(number)
+                self._count_moves()
                 interpreted("return_home").start_return(self.t, self.s, self.w, self.log, number, False)
                 self.take_events()
 
@@ -451,17 +450,22 @@ class Fleet(SingleRun):
         made = max(int(ranges[number]) - self.moves_left(number), 1)
         ranges[number] = made + moves
         self.problem = replace(self.problem, range=ranges)
-        if holds(self.raw.movers, number):
-            me.until = moves + self._turns(number)
-        elif holds(self.raw.waiting, number):
-            me.until = moves
-        else:
-            self.left[number] = moves
+        self._set_moves(number, moves)
         rests = me.doing in (Doing.IDLE, Doing.DONE) and not holds(self.raw.waiting, number)
         if moves > 0 and rests and self.over is None:
             self.turned.discard(number)  # with a new battery it is given work again
             if number not in self.aside:
                 self._bring_back(number, Doing(me.doing))
+
+    def _move_again(self, number: int) -> None:
+        """Let a robot that rests move: `until` becomes a turn again."""
+        if not holds(self.raw.movers, number):
+            self.s.robots[number].until += self._turns(number)
+            interpreted("state").put(self.s.movers, number)
+
+    def _set_moves(self, number: int, moves: int) -> None:
+        turns = self._turns(number) if holds(self.raw.movers, number) else 0
+        self.s.robots[number].until = moves + turns
 
 
 # Orders and reports.
@@ -525,7 +529,7 @@ class Reports:
         self.fleet = fleet
         self.now: dict[int, Report] = {}
         self.passed: list[tuple[int, int]] = []
-        self.heard = [fleet.step] * len(fleet.robots)
+        self.heard = [fleet.step] * fleet.loop.robots
         self.seen: dict[int, float | None] = {}
 
     def carry(self, before: Reports) -> None:
@@ -595,9 +599,11 @@ class Reports:
 
     def _agreed(self, number: int, new: Report) -> Report:
         """The report, if consistent with what is known; missing parts as reported before in this step."""
-        robot, before = self.fleet.robots[number], self.now.get(number)
-        lost = (not robot.alive and (before is None or not before.found)) or (before is not None and before.stopped)
-        where = robot.cell if before is None else before.cell
+        before = self.now.get(number)
+        lost = (not self.fleet.alive[number] and (before is None or not before.found)) or (
+            before is not None and before.stopped
+        )
+        where = self.fleet.cell(number) if before is None else before.cell
         if lost and not new.found:
             if new.stopped and new.cell == where:
                 return before or replace(new, moves_left=None)
@@ -619,11 +625,9 @@ class Reports:
     def as_json(self) -> list[Json]:
         """The reports as in files."""
         width, late = self.fleet.problem.world.shape[1], self.fleet.step
-        passed = [{"robot": robot, "cell": list(divmod(cell, width)), "step": late} for robot, cell in self.passed]
-        return passed + [
-            {"robot": number, **asdict(report), "cell": list(divmod(report.cell, width))}
-            for number, report in self.now.items()
-        ]
+        found = [({"robot": robot, "step": late}, cell) for robot, cell in self.passed]
+        found += [({"robot": robot, **asdict(report)}, report.cell) for robot, report in self.now.items()]
+        return [report | {"cell": list(divmod(cell, width))} for report, cell in found]
 
 
 def whole_numbers(given: ArrayLike) -> NDArray[np.int64]:

@@ -239,11 +239,8 @@ def allocate_areas_to_robots(
                 with_room[area.cells] = NOT_WANTED
     split = {area.number for area in safe if len(area.robots) > 1}
     owner = {area.number: area.robots[0] for area in safe if len(area.robots) == 1}
-    kept = [
-        Area(level, owner.get(number, NO_ROBOT), cells)
-        for number, (level, cells) in enumerate(areas)
-        if number not in split
-    ]
+    whole = ((number, *area) for number, area in enumerate(areas) if number not in split)
+    kept = [Area(level, owner.get(number, NO_ROBOT), cells) for number, level, cells in whole]
     for area in safe:
         if area.number in split:
             kept += _split_between(area, starts, shape, paths, partition)

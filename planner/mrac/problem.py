@@ -100,9 +100,9 @@ def unknown_map_of(world: World, starts: NDArray[np.int64], most: int) -> Unknow
     """
     known = world.knowledge
     if world.learned_hazard is not None:
-        return _of_hazards(world, world.learned_hazard.evidence, starts, most)
+        return _of_changes(world, starts, most, world.learned_hazard.evidence.chances, world.learned_hazard.evidence)
     if world.phases is not None and world.phases.told:
-        return _of_phases(world, world.phases, starts, most)
+        return _of_changes(world, starts, most, world.by_phase, phases=world.phases)
     if known is None:
         return None
     told = as_planned(world, starts).threat
@@ -119,26 +119,19 @@ def unknown_map_of(world: World, starts: NDArray[np.int64], most: int) -> Unknow
     return Unknown(known, values, quantised, belief, of_cell[1:], within, world.accessible(starts).ravel())
 
 
-def _of_hazards(world: World, evidence: Evidence, starts: NDArray[np.int64], most: int) -> Unknown | None:
-    """For hazard estimates; None if no evidence changes the robots' plans."""
-    within = world.accessible(starts).ravel()
-    classes, first = evidence.chances, world.threat.ravel()
-    if np.array_equal(classes[:, within], np.broadcast_to(first[within], classes[:, within].shape), equal_nan=True):
+def _of_changes(
+    world: World, starts: NDArray[np.int64], most: int, maps: NDArray[np.float32],
+    evidence: Evidence | None = None, phases: Phases | None = None,
+) -> Unknown | None:  # fmt: skip
+    """For hazard estimates, or for phases, with these maps `[M, N]`; None if no change affects the robots' plans."""
+    within, cells = world.accessible(starts).ravel(), np.arange(world.threat.size)
+    first = maps[0] if evidence is None else world.threat.ravel()
+    if np.array_equal(maps[:, within], np.broadcast_to(first[within], maps[:, within].shape), equal_nan=True):
         return None
-    values, of_cell, quantised = levels_of_maps(classes, within, most)
-    detector = evidence.detector
-    known = Knowledge(world.threat, Sense() if detector is None else detector.sense)
-    belief = of_cell[evidence.class_of(evidence.prior, np.arange(len(first))), np.arange(len(first))]
-    return Unknown(known, values, quantised, belief, of_cell, within, within, evidence)
-
-
-def _of_phases(world: World, phases: Phases, starts: NDArray[np.int64], most: int) -> Unknown | None:
-    within = world.accessible(starts).ravel()
-    if (world.by_phase == world.by_phase[0])[:, within].all():
-        return None
-    values, of_cell, quantised = levels_of_maps(world.by_phase, within, most)
-    known = Knowledge(world.threat, Sense())
-    return Unknown(known, values, quantised, of_cell[0], of_cell, within, within, phases=phases)
+    values, of_cell, quantised = levels_of_maps(maps, within, most)
+    belief = of_cell[0] if evidence is None else of_cell[evidence.class_of(evidence.prior, cells), cells]
+    sense = Sense() if evidence is None or evidence.detector is None else evidence.detector.sense
+    return Unknown(Knowledge(world.threat, sense), values, quantised, belief, of_cell, within, within, evidence, phases)
 
 
 def reached(free: NDArray[np.bool_], cells: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -347,11 +340,8 @@ def prepare(
         levels, entry, own = own_maps(worlds, world.accessible(checked), settings)
         costs = own.costs.max(axis=0)
     else:
-        levels = (
-            find_levels(world.threat, world.accessible(checked), settings.levels)
-            if unknown is None
-            else unknown.dearest
-        )
+        accessible = world.accessible(checked)
+        levels = unknown.dearest if unknown else find_levels(world.threat, accessible, settings.levels)
         costs = entry_costs(levels, settings.risk, world.source)
         entry = level_costs(levels.values, costs.size, settings.risk).astype(np.int64)
     value = decision_values(world, levels.accessible, settings.priority) if rule.replanning else None

@@ -173,6 +173,11 @@ class Plan:
         return "plan for the open loop" if self.for_open_loop else "external plan"
 
     @property
+    def team(self) -> int:
+        """Number of robots."""
+        return len(self.robots)
+
+    @property
     def starts(self) -> NDArray[np.int64]:
         """(row, col) of each robot at t = 0 (or in the state), int64 `[K, 2]`."""
         return np.array([divmod(int(robot.path[0]), self.shape[1]) for robot in self.robots], dtype=np.int64)
@@ -184,13 +189,17 @@ class Plan:
 
     def ends_home(self, step: int | None = None) -> bool:
         """True if all robots end at base in a run without losses, truncated at `step` if given."""
-        if self.settings is None or self.settings.return_to is None:
-            return False
-        to, starts = self.settings.return_to, [int(robot.path[0]) for robot in self.robots]
-        bases = starts if isinstance(to, str) else [row * self.shape[1] + col for row, col in to]
-        own = ({start} if to == "home" else set(bases) for start in starts)
         ends = [robot.path[-1 if step is None else min(step, len(robot.path) - 1)] for robot in self.robots]
-        return all(int(cell) in at for cell, at in zip(ends, own, strict=True))
+        return self.comes_home and all(int(cell) in own for cell, own in zip(ends, self.bases, strict=True))
+
+    @property
+    def bases(self) -> list[set[int]]:
+        """The base cells of each robot; empty if robots do not return."""
+        if self.settings is None or (to := self.settings.return_to) is None:
+            return []
+        starts = [int(robot.path[0]) for robot in self.robots]
+        bases = starts if isinstance(to, str) else [row * self.shape[1] + col for row, col in to]
+        return [{start} if to == "home" else set(bases) for start in starts]
 
     @property
     def makespan(self) -> int:
@@ -213,10 +222,8 @@ class Plan:
         """
         known = ("", world.sha256) if self.is_external else (world.sha256,)
         if self.shape != world.shape or self.sha256 not in known:
-            raise PlanError(
-                f"plan for another map: made for {self.shape[0]}x{self.shape[1]} {self.sha256[:12]}",
-                expected=f"{world.shape[0]}x{world.shape[1]} {world.sha256[:12]}",
-            )
+            made, expected = (f"{of.shape[0]}x{of.shape[1]} {of.sha256[:12]}" for of in (self, world))
+            raise PlanError(f"plan for another map: made for {made}", expected=expected)
         return self.settings or self._own
 
     def until(self, step: int) -> Plan:
@@ -279,11 +286,8 @@ class Plan:
             PlanError: the plan has a user's rule or order, which files cannot hold.
         """
         if self.settings is not None and self.settings.own_words:
-            raise PlanError(
-                f"a plan with {self.settings.own_words} cannot be saved",
-                expected="a policy that has a name",
-                fix="make the plan again where it is needed",
-            )
+            problem, fix = f"a plan with {self.settings.own_words} cannot be saved", "make the plan again where needed"
+            raise PlanError(problem, expected="a policy that has a name", fix=fix)
         # Cells as [row, col]: files are read by people and by other programs.
         width = self.shape[1]
 

@@ -17,7 +17,7 @@ from planner.arguments import MAX_PLAN_BYTES, MAX_STEP, whole
 from planner.errors import LOOPS, PlanError
 from planner.files import read_json
 from planner.plan.plan import FORMAT, VERSION, Area, Leg, Plan, RobotPlan
-from planner.plan.reading import at, check_map, check_partition, read_cells
+from planner.plan.reading import at, check_map, check_moves, check_partition, read_cells, read_path
 from planner.plan.state_file import parse_state
 from planner.settings import BEARING, KEPT, POLICY, SETTINGS, Settings
 from planner.simulator.codes import NO_ROBOT, Outcome
@@ -92,7 +92,7 @@ def _foreign_plan(paths: Key, keys: dict[str, Key], world: World) -> Plan:
     Its failure model is that of the file, else that of the world.
     """
     source = str(paths.source)
-    robots = tuple(RobotPlan(_path(item.value, number, world, source)) for number, item in enumerate(_team(paths)))
+    robots = tuple(RobotPlan(_path(item, world)) for item in _team(paths))
     plan = Plan(world.shape, world.sha256, None, robots, outcome=Outcome.END_OF_PATHS.word, source=world.source)
     missed = _unvisited(plan, world)
     notes: tuple[str, ...] = ()
@@ -134,7 +134,7 @@ def _own_plan(top: Key, world: World) -> Plan:
     given = keys["settings"].mapping(optional=SETTINGS)
     settings = Settings(**{name: key.setting(SETTINGS[name]) for name, key in given.items()})
     settings.check(str(top.source))
-    paths = [_path(entry["path"].value, robot, world, str(top.source)) for robot, entry in enumerate(entries)]
+    paths = [_path(entry["path"], world) for entry in entries]
     areas, added = (
         tuple(_area(item, len(paths), settings.levels, world) for item in keys[name].items("a list of areas", least=0))
         for name in PARTS
@@ -168,44 +168,11 @@ def _saved_foreign_plan(keys: dict[str, Key], entries: list[dict[str, Key]], wor
     return replace(plan, for_open_loop=True, notes=tuple(dict.fromkeys(_notes(keys) + plan.notes)))
 
 
-def _path(given: object, robot: int, world: World, source: str) -> NDArray[np.int64]:
+def _path(key: Key, world: World) -> NDArray[np.int64]:
     """One robot's path as cell indices, int64 `[steps + 1]`, checked: every cell free, every move one cell."""
-    if not isinstance(given, list) or not given:
-        # The start is the first entry of a path, so an empty path has no start.
-        problem = f"robot {robot}: its path is {reprlib.repr(given)}"
-        raise PlanError(problem, source=source, expected="at least the start: [[row, col], ...]")
-    if len(given) - 1 > MAX_STEP:
-        raise PlanError(f"robot {robot}: {len(given) - 1} steps", source=source, expected=f"at most {MAX_STEP}")
-    (height, width), where = world.shape, f"robot {robot}, step"
-    for step, cell in enumerate(given):
-        # Only `int`: booleans and floats are no cells, although NumPy would convert them.
-        if not (type(cell) is list and len(cell) == 2 and type(cell[0]) is type(cell[1]) is int):
-            problem = f"{where} {step}: {reprlib.repr(cell)}"
-            raise PlanError(problem, source=source, expected="[row, col], two whole numbers")
-        if not (0 <= cell[0] < height and 0 <= cell[1] < width):
-            problem, expected = (
-                f"cell {reprlib.repr(cell)} is off the map",
-                f"row 0..{height - 1} and col 0..{width - 1}",
-            )
-            fix = "cells are [row, col] from 0, row 0 at the top, not [x, y]"
-            raise PlanError(f"{where} {step}: {problem}", source=source, expected=expected, fix=fix)
-    cells = np.array(given, dtype=np.int64)
-    # The error names the first wrong step and counts all: a wrong order of coordinates affects many. Obstacles of the
-    # prior map around the starts do not count if the true map is free there: robots have seen them.
-    blocked = np.flatnonzero(~world.enterable[cells[:, 0], cells[:, 1]])
-    if len(blocked):
-        step = int(blocked[0])
-        problem = f"cell {cells[step].tolist()} is an obstacle ({len(blocked)} such steps)"
-        fix = "cells are [row, col] from 0, row 0 at the top: check that the plan is for this map"
-        raise PlanError(f"{where} {step}: {problem}", source=source, expected="free cells", fix=fix)
-    # A distance of 0 is a step of waiting.
-    jumps = np.flatnonzero(np.abs(np.diff(cells, axis=0)).sum(axis=1) > 1)
-    if len(jumps):
-        before, after = cells[jumps[0] : jumps[0] + 2].tolist()
-        problem = f"a jump from {before} to cell {after} ({len(jumps)} such steps)"
-        expected, fix = "one cell north, south, east or west, or waiting", "write every cell on the way"
-        raise PlanError(f"{where} {jumps[0] + 1}: {problem}", source=source, expected=expected, fix=fix)
-    return cells @ (width, 1)
+    path = read_path(key, world, planned=True)
+    check_moves(key, path, world, waits=True)
+    return path
 
 
 def _legs(entry: dict[str, Key], entries: int, levels: list[int]) -> tuple[Leg, ...]:

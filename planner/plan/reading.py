@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import MAX_STEP
 from planner.errors import InputError
 from planner.plan.plan import Area
 from planner.plan.state import AreaState
@@ -42,16 +43,36 @@ def read_cell(key: Key, world: World) -> int:
     return int(_cells_in(key, [key.value], world)[0])
 
 
-def read_path(key: Key, world: World) -> NDArray[np.int64]:
-    """Read free cells in the order of the file, int64 `[cells]`."""
-    if not isinstance(key.value, list):
-        raise key.wrong("a list of cells")
-    return _cells_in(key, key.value, world)
+def read_path(key: Key, world: World, *, planned: bool = False) -> NDArray[np.int64]:
+    """Read a robot's path over free cells, in the order of the file, int64 `[cells]`.
+
+    Args:
+        key: the list, possibly empty.
+        world: the map.
+        planned: of a plan: from the start on, as [row, col] only, where a robot may also wait.
+    """
+    if not isinstance(key.value, list) or (planned and not key.value):
+        raise key.wrong("at least the start: [[row, col], ...]" if planned else "a list of cells")
+    if len(key.value) - 1 > MAX_STEP:
+        raise key.fault(f"has {len(key.value) - 1} steps", f"at most {MAX_STEP}")
+    return _cells_in(key, key.value, world, planned)
+
+
+def check_moves(key: Key, cells: NDArray[np.int64], world: World, *, waits: bool = False) -> None:
+    """Check that successive cells int64 are neighbours; `waits`: or the same cell."""
+    away = np.abs(np.diff(np.divmod(cells, world.shape[1]))).sum(axis=0)
+    jumps = np.flatnonzero((away != 1) & ~(waits & (away == 0)))
+    if len(jumps):
+        before, after = (at(cell, world) for cell in cells[jumps[0] : jumps[0] + 2])
+        problem = f"jumps from {before} to cell {after} at step {jumps[0] + 1} ({len(jumps)} such steps)"
+        raise key.fault(problem, "one cell north, south, east or west at a time", "write every cell on the way")
 
 
 def read_cells(key: Key, world: World) -> NDArray[np.int64]:
     """Read free cells without repetition, int64 `[cells]`, increasing."""
-    cells = np.sort(read_path(key, world))
+    if not isinstance(key.value, list):
+        raise key.wrong("a list of cells")
+    cells = np.sort(_cells_in(key, key.value, world))
     twice = cells[:-1][np.diff(cells) == 0]
     if len(twice):
         raise key.fault(f"holds cell {at(twice[0], world)} twice", "each once")
@@ -94,23 +115,34 @@ def at(cell: int | np.integer, world: World) -> str:
     return str(list(divmod(int(cell), world.shape[1])))
 
 
-def _cells_in(key: Key, given: list[Any], world: World) -> NDArray[np.int64]:
-    found = [_index(one, world) for one in given]
+def _cells_in(key: Key, given: list[Any], world: World, pairs: bool = False) -> NDArray[np.int64]:
+    """The indices of cells, int64, checked; `pairs`: as [row, col] only."""
+    (height, width), found = world.shape, [_index(one, world, pairs) for one in given]
+    # The error names the first wrong cell and counts obstacles: a wrong order of coordinates affects many.
+    fix = "" if key.fix and not pairs else "cells are [row, col] from 0, row 0 at the top, not [x, y]"
     if None in found:
-        (height, width), wrong = world.shape, given[found.index(None)]
-        expected = f"cells of the map: the index row * {width} + col, 0..{height * width - 1}, or [row, col]"
-        raise key.fault(f"holds {reprlib.repr(wrong)}, no cell of the map", expected)
+        place = found.index(None)
+        expected = f"a cell of the map, [row, col] with row 0..{height - 1} and col 0..{width - 1}"
+        index = "" if pairs else f", or its index row * {width} + col, 0..{height * width - 1}"
+        raise _named(key, given, place).fault(f"is {reprlib.repr(given[place])}, off the map", expected + index, fix)
     cells = np.array(found, dtype=np.int64)
-    blocked = cells[~world.enterable.ravel()[cells]]
+    blocked = np.flatnonzero(~world.enterable.ravel()[cells])
     if len(blocked):
-        raise key.fault(f"holds cell {at(blocked[0], world)}, an obstacle", "free cells")
+        problem = f"is cell {at(cells[blocked[0]], world)}, an obstacle ({len(blocked)} such cells)"
+        raise _named(key, given, int(blocked[0])).fault(problem, "free cells", fix)
     return cells
 
 
-def _index(given: object, world: World) -> int | None:
+def _named(key: Key, given: list[Any], place: int) -> Key:
+    """The key of a cell in a list, or of the only one."""
+    return key if given is not key.value else Key(given[place], f"{key.path}[{place}]", key.source, key.error, key.fix)
+
+
+def _index(given: object, world: World, pairs: bool) -> int | None:
     """A cell's index, from an index or [row, col]; None for no cell of the map."""
     height, width = world.shape
-    if isinstance(given, list) and len(given) == 2 and all(type(one) is int for one in given):
+    # Only `int`: booleans and floats are no cells, although NumPy would convert them.
+    if type(given) is list and len(given) == 2 and type(given[0]) is type(given[1]) is int:
         row, col = given
         return row * width + col if 0 <= row < height and 0 <= col < width else None
-    return given if type(given) is int and 0 <= given < height * width else None
+    return given if type(given) is int and not pairs and 0 <= given < height * width else None

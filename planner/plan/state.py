@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +34,7 @@ class RobotState:
         moves: made so far. held: kept from areas at risk (`risk_cap`).
         exposure: its cumulative hazard, in units of 2**-32 nat; None: not known.
         home: its first cell, None: not known. turned: whether it has started its return to base (SPEC section 19).
+        carried: int64, the cells that it has visited since it was last at a base.
     """
 
     cell: int
@@ -46,6 +47,7 @@ class RobotState:
     exposure: int | None = None
     home: int | None = None
     turned: bool = False
+    carried: NDArray[np.int64] = field(default_factory=lambda: NO_CELLS)
 
     @property
     def alive(self) -> bool:
@@ -79,6 +81,7 @@ class MissionState:
         robots: one each. areas: in id order, every accessible cell in one of them; none: to be allocated again.
         quiet: steps in a row without a move or an allocation.
         over: outcome of the mission for which all robots return to base; None: it goes on.
+        delivered: int64, cells delivered, increasing; None: not known.
     """
 
     shape: tuple[int, int]
@@ -90,6 +93,7 @@ class MissionState:
     areas: tuple[AreaState, ...] = ()
     quiet: int = 0
     over: str | None = None
+    delivered: NDArray[np.int64] | None = None
 
     def homes(self, return_to: object) -> NDArray[np.int64] | None:
         """The robots' first cells, int64 `[K]`; None if robots do not return.
@@ -137,6 +141,7 @@ class MissionState:
                 | ({} if r.exposure is None else {"exposure": r.exposure / NAT})
                 | ({} if r.home is None else {"home": r.home})
                 | ({"turned": True} if r.turned else {})
+                | ({"carried": r.carried.tolist()} if len(r.carried) else {})
                 for r in self.robots
             ],
             "areas": [
@@ -146,6 +151,7 @@ class MissionState:
             "held": [number for number, robot in enumerate(self.robots) if robot.held],
             "quiet": self.quiet,
             **({} if self.over is None else {"over": self.over}),
+            **({} if self.delivered is None else {"delivered": self.delivered.tolist()}),
         }
 
     def save(self, path: str | Path, *, force: bool = False) -> None:

@@ -16,7 +16,7 @@ from planner.arguments import MAX_PLAN_BYTES, MAX_STEP, Numbers, argument, whole
 from planner.errors import MapError, StateError, UsageError
 from planner.files import is_header, read_json, read_npy
 from planner.formatting import counted, share
-from planner.plan.reading import at, check_map, check_partition, read_cell, read_cells, read_path
+from planner.plan.reading import at, check_map, check_moves, check_partition, read_cell, read_cells, read_path
 from planner.plan.state import (
     AREA_STATES,
     FORMAT,
@@ -47,9 +47,9 @@ Fault = tuple[str, ...]
 """Problem, expectation, and the fix if those do not imply it."""
 ANEW = "write it with `record --state-at`, or leave areas, ahead and to_do out: areas are then allocated again"
 DEFAULTS = {"world": {}, "step": 0, "survived": None, "areas": [], "to_do": None, "held": [], "quiet": 0}
-DEFAULTS |= {"over": None}
+DEFAULTS |= {"over": None, "delivered": None}
 OF_ROBOTS = {"status": "idle", "area": NO_AREA, "ahead": [], "moves": 0, "exposure": None, "home": None}
-OF_ROBOTS |= {"turned": False}
+OF_ROBOTS |= {"turned": False, "carried": []}
 """Keys that a state, and each of its robots, may lack."""
 
 
@@ -104,7 +104,9 @@ def parse_state(data: object, world: World, source: str, before: World | None = 
         survived = np.union1d(read_cells(keys["survived"], world), standing)
     step, quiet = keys["step"].number(whole(0, MAX_STEP)), keys["quiet"].number(whole(0, 1))
     over = None if keys["over"].value is None else keys["over"].choice(OVER, WORDS_OF_0_3)
-    found = MissionState(world.shape, world.sha256, step, visited, survived, robots, areas, quiet, over)
+    got = keys["delivered"]
+    delivered = None if got.value is None else read_cells(got, before)
+    found = MissionState(world.shape, world.sha256, step, visited, survived, robots, areas, quiet, over, delivered)
     check_state(found, world, source)
     return found
 
@@ -117,15 +119,14 @@ def _state_file_robot(key: Key, to_do: Key, held: bool, world: World, before: Wo
     if status not in ON_ITS_WAY and (area != NO_AREA or len(ahead)):
         what = "both lost and moving" if status == "dead" else f"{status}, and has an area or a path"
         raise key.fault(f"is {what}", "no area and nothing ahead", "leave area and ahead out")
-    rows, cols = np.divmod(np.array([cell, *ahead]), world.shape[1])
-    if (np.abs(np.diff(rows)) + np.abs(np.diff(cols)) != 1).any():
-        raise keys["ahead"].fault("jumps", "one cell north, south, east or west at a time")
+    check_moves(keys["ahead"], np.array([cell, *ahead]), world)
     exposure = None if keys["exposure"].value is None else round(keys["exposure"].number(NATS) * NAT)
     home = None if keys["home"].value is None else read_cell(keys["home"], before)
     if not isinstance(keys["turned"].value, bool):
         raise keys["turned"].wrong("true or false")
     turned = keys["turned"].value or status == RETURNING
-    return RobotState(cell, status, area, ahead, read_cells(to_do, world), moves, held, exposure, home, turned)
+    to_do_, carried = read_cells(to_do, world), read_cells(keys["carried"], before)
+    return RobotState(cell, status, area, ahead, to_do_, moves, held, exposure, home, turned, carried)
 
 
 def _area(key: Key, world: World) -> AreaState:

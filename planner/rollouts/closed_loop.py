@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -14,17 +15,17 @@ from numpy.typing import NDArray
 from planner.arguments import argument
 from planner.errors import PlanError, names_of_0_3
 from planner.mrac.problem import Problem, ready_loop
-from planner.plan.plan import Area, Plan, RobotPlan, last_move
+from planner.plan.plan import Area, Leg, Plan, RobotPlan, last_move
 from planner.plan.state import MissionState
 from planner.rollout_sampling import check_counters
 from planner.rollouts.loop import NO_COUNTS, ClosedLoop, known_cells, purpose_of
 from planner.rollouts.runners import Runner, on_threads, run_rollouts, singles_of
 from planner.rollouts.tables import ASKED_BEFORE, AllPairs, first_frames, make_policy, make_tables
 from planner.simulator.areas import FRAME_AREA, FRAME_CELL, FRAME_DOING, make_log
-from planner.simulator.codes import NO_AREA, EventKind, Outcome
+from planner.simulator.codes import EventKind, Outcome
 from planner.simulator.jit import LARGE
 from planner.simulator.offers import CellOffer
-from planner.simulator.state import Counts
+from planner.simulator.state import SINGLES, Counts
 from planner.tally import RolloutResults, Tally, Trace, tally_key
 from planner.world.planned_map import BEFORE, rules_of
 from planner.world.uncertain_maps import Hazard, Uncertain
@@ -34,8 +35,10 @@ MOST_TABLED = 10_000
 """Most accessible cells with all-pairs tables (0.6 GB); on larger maps distances are searched for on demand."""
 SINGLE_FILE = 64
 """Rollouts that a thread takes at a time if it runs them one by one."""
-TIME, OUTCOME = 2, 4
-"""Columns of `Singles.numbers`."""
+OF_SINGLES = ("visited", "survived", "time", "alive", "outcome", "bisected", "divided", "home", "delivered")
+"""Columns of `Singles.numbers`, as fields of `RolloutResults`."""
+OF_WORTH = "worth_covered", "worth_found"
+TIME, OUTCOME = map(OF_SINGLES.index, ("time", "outcome"))
 
 
 def compile_closed_loop(
@@ -84,11 +87,8 @@ def compile_closed_loop(
     if problem.own is not None:
         tabled = True
         if len(problem.own.costs) * len(cells) ** 2 > MOST_TABLED**2:
-            raise PlanError(
-                f"{len(problem.own.costs)} types of robots on {len(cells):,} cells",
-                expected=f"types x cells x cells up to {MOST_TABLED**2:,}",
-                fix="coarsen the map",
-            )
+            large = f"{len(problem.own.costs)} types of robots on {len(cells):,} cells"
+            raise PlanError(large, expected=f"types x cells x cells up to {MOST_TABLED**2:,}", fix="coarsen the map")
     tables = make_tables(problem, cells, areas, tabled, kept, plan.failure_model)
     if interpreted and len(cells) >= LARGE:  # a single run rarely asks for the costs from a cell again
         tables = tables._replace(patience=ASKED_BEFORE)
@@ -158,7 +158,7 @@ def run_range(
     tally = tally_from(loop, seed, start, count, run_rollouts(loop, seed, start, count, threads, kept))
     if not singles:
         return tally, None
-    return tally, results_from(start, kept.numbers, kept.worth)
+    return tally, results_from(start, kept.numbers[:, : SINGLES - (not loop.delivers)], kept.worth)
 
 
 def results_from(start: int, numbers: NDArray[np.int32], worth: NDArray[np.int64]) -> RolloutResults:
@@ -166,12 +166,11 @@ def results_from(start: int, numbers: NDArray[np.int32], worth: NDArray[np.int64
 
     Args:
         start: first id.
-        numbers: int32 `[B, SINGLES]`, as in `planner.simulator.state.Singles`, or without the column of robots at base.
+        numbers: int32 `[B, SINGLES]`, as in `planner.simulator.state.Singles`, or without its last columns.
         worth: int64 `[B, 2]` or without rows, sums of values.
     """
-    visited, survived, times, alive, outcome, bisected, divided, *home = numbers.T
-    rest = bisected, divided, *(home or [NO_COUNTS.astype(np.int32)]), *worth.T
-    return RolloutResults(start, visited, survived, times, alive, outcome.astype(np.int8), *rest)
+    columns = dict(zip(OF_SINGLES, numbers.T, strict=False)) | dict(zip(OF_WORTH, worth.T, strict=False))
+    return RolloutResults(start, **columns | {"outcome": columns["outcome"].astype(np.int8)})
 
 
 def new_cells(
@@ -181,19 +180,17 @@ def new_cells(
 
     They are the rollouts of `run_range`, run one at a time by the same compiled program, with the same arguments.
     """
-    curves: dict[int, NDArray[np.int64]] = {}
+    known = len(known_cells(loop)[0])
 
-    def work(runner: Runner, first: int, stop: int) -> None:
-        for rollout in range(first, stop):
-            single = runner.run_one(rollout)
-            curves[rollout] = runner.counts.new[: int(single[TIME]) + 1].copy()
-            # Cells covered before a resumed mission's state count in step 0, as in `tally_from`.
-            curves[rollout][0] += len(known_cells(loop)[0])
-            # A runner's counts add up: what this rollout has added is taken out again.
-            runner.counts.new[: int(single[TIME]) + 1] = 0
+    def curve(runner: Runner, numbers: NDArray[np.int32]) -> NDArray[np.int64]:
+        new = runner.counts.new[: int(numbers[TIME]) + 1]
+        found = new.copy()
+        # Cells covered before a resumed mission's state count in step 0, as in `tally_from`.
+        found[0] += known
+        new[:] = 0  # a runner's counts add up: what this rollout has added is taken out again
+        return found
 
-    on_threads(loop, seed, start, count, SINGLE_FILE, threads, work)
-    return [curves[rollout] for rollout in range(start, start + count)]
+    return _one_by_one(loop, seed, range(start, start + count), threads, curve)
 
 
 def final_odds(loop: ClosedLoop, seed: int, start: int, count: int, *, threads: int | None = None) -> NDArray[np.int64]:
@@ -201,15 +198,23 @@ def final_odds(loop: ClosedLoop, seed: int, start: int, count: int, *, threads: 
 
     They are the rollouts of `run_range`, of an online mission with estimated hazards.
     """
-    odds = np.empty((count, len(loop.tables.odds)), dtype=np.int64)
+    ids = range(start, start + count)
+    odds = _one_by_one(loop, seed, ids, threads, lambda runner, _: runner.state.odds.copy())
+    return np.array(odds, dtype=np.int64).reshape(count, len(loop.tables.odds))
+
+
+def _one_by_one(
+    loop: ClosedLoop, seed: int, ids: range, threads: int | None, read: Callable[[Runner, NDArray[np.int32]], NDArray]
+) -> list[NDArray]:
+    """`read(runner, numbers)` after each of these rollouts, in order."""
+    found: dict[int, NDArray] = {}
 
     def work(runner: Runner, first: int, stop: int) -> None:
         for rollout in range(first, stop):
-            runner.run_one(rollout)
-            odds[rollout - start] = runner.odds
+            found[rollout] = read(runner, runner.run_one(rollout))
 
-    on_threads(loop, seed, start, count, SINGLE_FILE, threads, work)
-    return odds
+    on_threads(loop, seed, ids.start, len(ids), SINGLE_FILE, threads, work)
+    return [found[rollout] for rollout in ids]
 
 
 def trace_rollouts(loop: ClosedLoop, seed: int, ids: Iterable[int]) -> list[Trace]:
@@ -239,7 +244,7 @@ def logged_rollouts(
                 break
             steps, events = max(steps, last + 1), max(events, happened)
         kept = log.frames[: last + 1], log.events[1 : happened + 1]
-        trace = trace_from(loop, rollout, *kept, runner.area_of, Outcome(int(single[OUTCOME])))
+        trace = trace_from(loop, rollout, *kept, loop.area_of(runner.state), Outcome(int(single[OUTCOME])))
         yield trace, log.legs[: last + 1], runner
 
 
@@ -258,7 +263,7 @@ def trace_from(
         rollout: id.
         frames: int32 `[T, 3, K]`, of `Log`.
         events: int32 `[E, 5]`, of `Log`.
-        area_of: int32 `[A]`, last area of each cell.
+        area_of: int32 `[N]`, last area of each cell.
         outcome: of the rollout.
     """
     happened = events.copy()
@@ -271,7 +276,7 @@ def trace_from(
         doing=frames[:, FRAME_DOING].astype(np.int8),
         areas=frames[:, FRAME_AREA].copy(),
         events=happened,
-        area_of=loop.on_grid(area_of, NO_AREA),
+        area_of=area_of,
         outcome=outcome,
     )
 
@@ -301,6 +306,7 @@ def tally_from(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[
         time=counts.time[:last],
         alive=counts.alive,
         home=counts.home,
+        delivered=counts.delivered,
         outcomes=counts.outcomes,
         new_visited=counts.new[:last],
         new_survived=counts.new[:last] + counts.late[:last],
@@ -337,11 +343,22 @@ def with_nominal_run(plan: Plan, loop: ClosedLoop) -> Plan:
         loop: its closed loop.
     """
     (trace,) = trace_rollouts(nominal_loop(loop), 0, (0,))
+    return with_run(plan, trace, itertools.repeat(()))
+
+
+def with_run(plan: Plan, trace: Trace, legs: Iterable[tuple[Leg, ...]]) -> Plan:
+    """A plan with this nominal run.
+
+    Args:
+        plan: without paths.
+        trace: of the run.
+        legs: of each robot.
+    """
     paths = [path[: last_move(path) + 1] for path in trace.cells.T.astype(np.int64)]
     return replace(
         plan,
-        robots=tuple(map(RobotPlan, paths)),
+        robots=tuple(map(RobotPlan, paths, legs)),
         outcome=plan.ending(trace.outcome).word,
-        time=len(trace.cells) - 1,
+        time=trace.time,
         shares=int(np.count_nonzero(trace.events[:, 2] == EventKind.SHARED)),
     )

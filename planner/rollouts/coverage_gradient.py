@@ -89,11 +89,8 @@ def closed_loop_gradient(
     """
     world.require_certain_map("the closed loop's gradient")
     if not plan.failure_model.is_plain:
-        raise PlanError(
-            f"the closed loop's gradient requires one p for all visits of a cell; here: "
-            f"{plan.failure_model.description}",
-            fix="leave `weibull_shape`, `hazard_multiplier` and `types` out",
-        )
+        problem = f"the closed loop's gradient requires one p for all visits; here: {plan.failure_model.description}"
+        raise PlanError(problem, fix="leave `weibull_shape`, `hazard_multiplier` and `types` out")
     given = world.threat if p is None else np.asarray(p, dtype=np.float32)
     if given.shape != world.shape:
         raise WorldError(f"p: shape {list(given.shape)}", expected=f"{list(world.shape)}, the map's [H, W]")

@@ -134,10 +134,7 @@ class Tree:
 
     def chance_home(self, least: int) -> tuple[float, float]:
         """Bounds on the probability that at least `least` robots are at base at the end."""
-        sure, left = (float(of[least:].sum()) / WHOLE for of in (self.counts.home, self.counts.left_alive))
-        return (
-            (sure, sure) if not self.left else (max(sure - self.rounding, 0.0), min(sure + left + self.rounding, 1.0))
-        )
+        return self.chance(*(float(of[least:].sum()) for of in (self.counts.home, self.counts.left_alive)))
 
     def chance_left(self) -> tuple[float, float]:
         """Bounds on the probability that some robot is alive at the end."""
@@ -147,21 +144,22 @@ class Tree:
         """Bounds on the probability that every cell is visited."""
         return self.chance(self.counts.outcomes[Outcome.COMPLETE])
 
-    def chance(self, mass: Any) -> tuple[Any, Any]:
-        """Bounds on a probability with this mass among the ends; equal if no branch was left."""
-        sure = mass / WHOLE
+    def chance(self, mass: Any, left: float | None = None) -> tuple[Any, Any]:
+        """Bounds on a probability with this mass among the ends; equal if no branch was left.
+
+        `left`: mass of the branches left in which it may come true; None: all of them.
+        """
+        sure, more = mass / WHOLE, self.left if left is None else left / WHOLE
         if not self.left:
             return sure, sure
-        return np.maximum(sure - self.rounding, 0.0), np.minimum(sure + self.left + self.rounding, 1.0)
+        return np.maximum(sure - self.rounding, 0.0), np.minimum(sure + more + self.rounding, 1.0)
 
     def chance_of(self, figure: str, needed: int) -> tuple[float, float]:
         """Bounds on the probability that at least `needed` cells are "visited" or "survived"."""
         ended, left = (getattr(self.counts, name) for name in (figure, f"left_{figure}"))
         # Branches left with enough cells already count: coverage never falls.
-        sure = float(ended[needed:].sum() + left[needed:].sum()) / WHOLE
-        if not self.left or needed >= len(ended):
-            return sure, sure
-        return max(sure - self.rounding, 0.0), min(sure + float(left[:needed].sum()) / WHOLE + self.rounding, 1.0)
+        sure = float(ended[needed:].sum() + left[needed:].sum())
+        return (sure / WHOLE,) * 2 if needed >= len(ended) else self.chance(sure, float(left[:needed].sum()))
 
     def time(self) -> tuple[float, float]:
         """Bounds on the expected number of steps: branches left may take all steps."""

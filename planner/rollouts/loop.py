@@ -17,8 +17,9 @@ from planner.plan.state import MissionState
 from planner.policies.rules import Rule
 from planner.rollout_sampling import first_places
 from planner.rollouts.tables import kinds_of, visit_tables, write_mission_state
+from planner.simulator.codes import NO_AREA
 from planner.simulator.policy import Policy
-from planner.simulator.state import DETECTS, TRUTH, State, Tables, first_state
+from planner.simulator.state import AREA_BITS, DETECTS, OUT, TRUTH, State, Tables, first_state
 from planner.tally import Tally, tally_key
 from planner.world.moving_threats import MovingThreats
 from planner.world.uncertain_maps import Uncertain
@@ -31,22 +32,12 @@ from planner.world.world import World
 
 Arrays = TypeVar("Arrays", bound=tuple)
 
-FEATURES: dict[str, Callable[[Tables], bool]] = {
-    "follows": lambda t: len(t.given) > 0,
-    "walks": lambda t: len(t.entry) > 0,
-    "searches": lambda t: len(t.entry) > 0 and not len(t.cost_to),
-    "uncertain": lambda t: len(t.own_counter) > 0,
-    "spends": lambda t: len(t.spent) > 0,
-    "wears": lambda t: len(t.times) > 0,
-    "moving": lambda t: len(t.movers) > 0,
-    "mixed": lambda t: len(t.type_of) > 0,
-    "paced": lambda t: len(t.pace) > 0,
-    "radio": lambda t: len(t.reach) > 0,
-    "returns": lambda t: len(t.home_cost) > 0,
-    "learns": lambda t: len(t.truths) > 0,
-    "estimates": lambda t: len(t.odds) > 0,
-    "phased": lambda t: len(t.phases) > 0,
-}
+FEATURES = {
+    "follows": "given", "walks": "entry", "searches": "entry", "uncertain": "own_counter", "spends": "spent",
+    "wears": "times", "moving": "movers", "mixed": "type_of", "paced": "pace", "radio": "reach",
+    "returns": "home_cost", "learns": "truths", "estimates": "odds", "phased": "phases",
+}  # fmt: skip
+"""The features, and the table of each, which is empty where a mission does not use it."""
 PROGRAMS = 0, list(FEATURES).index("wears"), len(FEATURES)
 """How many of the FEATURES each program has: none; those of large or uncertain maps and of external paths; all. A
 further program would have to be compiled for its missions only."""
@@ -58,7 +49,8 @@ def with_features(tables: Tables) -> Tables:
     Args:
         tables: without features.
     """
-    has: dict[str, Any] = {name: test(tables) for name, test in FEATURES.items()}
+    has: dict[str, Any] = {name: len(getattr(tables, table)) > 0 for name, table in FEATURES.items()}
+    has["searches"] &= not len(tables.cost_to)
     # A feature within the program's size that the mission does not use is False, not None: the types are the program's.
     known = min(size for size in PROGRAMS if not any(list(has.values())[size:]))
     features: dict[str, Any] = dict.fromkeys(has) | dict(list(has.items())[:known])
@@ -67,14 +59,8 @@ def with_features(tables: Tables) -> Tables:
 
 def typed(given: Arrays) -> Arrays:
     """The named tuple with contiguous, writable arrays: the types that programs are compiled for."""
-    return type(given)(
-        *(
-            np.require(field, requirements=("C", "W"))
-            if isinstance(field, np.ndarray) and not field.flags.carray
-            else field
-            for field in given
-        )
-    )
+    arrays = (np.require(one, requirements=["C", "A", "W"]) if isinstance(one, np.ndarray) else one for one in given)
+    return type(given)(*arrays)
 
 
 NO_COUNTS = np.zeros(0, dtype=np.int64)
@@ -145,6 +131,11 @@ class ClosedLoop:
         return len(self.tables.home_cost) > 0
 
     @property
+    def delivers(self) -> bool:
+        """True if cells delivered are counted: robots return to base, and a resumed mission knows what they carry."""
+        return self.comes_home and (self.state is None or self.state.delivered is not None)
+
+    @property
     def runs_alone(self) -> bool:
         """True if each rollout is a separate group: no two have the same detector readings."""
         return bool(self.tables.lessons[DETECTS:].any())
@@ -183,6 +174,18 @@ class ClosedLoop:
         grid[self.cells] = values
         return grid
 
+    def flagged(self, raw: State, flag: int) -> NDArray[np.bool_]:
+        """bool `[N]`: accessible cells with this flag in the state, VISITED or SURVIVED."""
+        has_it = raw.home[:-1] & flag != 0
+        # While robots learn the map, an unvisited cell in no area has both flags.
+        return self.on_grid(has_it & (raw.known & OUT == 0) if self.learns else has_it)
+
+    def area_of(self, raw: State) -> NDArray[np.int32]:
+        """int32 `[N]`: the area of each cell in the state, the last one of a completed run; NO_AREA if in none."""
+        found = (raw.home[:-1] >> AREA_BITS).astype(np.int32)
+        # In online missions the last number stands for no area.
+        return self.on_grid(np.where(found == len(raw.areas) - 1, NO_AREA, found) if self.learns else found, NO_AREA)
+
     @cached_property
     def _first(self) -> dict[int, State]:
         return {}
@@ -191,6 +194,7 @@ class ClosedLoop:
         """The state that every group begins with, made once for each `room` (areas); one level for each true map."""
         if room not in self._first:
             first = first_state(self.tables, room, self.weights is not None)
+            first = first._replace(carried=first.carried[: len(first.carried) * self.delivers])
             if self.state is not None:
                 write_mission_state(self.state, first, self.tables, self.cells)
             levels = 1 if self.uncertainty is None else len(self.tables.truths)

@@ -256,16 +256,9 @@ def work_arrays(tile: int, words: int) -> tuple[NDArray, ...]:
         tile: L.
         words: of a padded row.
     """
-    return (
-        np.empty(tile, np.uint64),
-        np.empty(tile, np.uint32),
-        np.empty(tile, np.uint32),
-        np.empty(tile, np.uint32),
-        np.empty(tile, np.uint32),
-        np.zeros(tile * words, np.uint32),
-        np.empty((4, tile // 8 * words), np.uint32),
-        np.empty((8, tile // 128 * words), np.uint32),
-    )
+    by_lane = (np.empty(tile, kind) for kind in (np.uint64, *[np.uint32] * 4))
+    sums = ((size, tile // lanes * words) for size, lanes in ((4, 8), (8, 128)))
+    return (*by_lane, np.zeros(tile * words, np.uint32), *(np.empty(shape, np.uint32) for shape in sums))
 
 
 @rare_kernel

@@ -23,11 +23,10 @@ from planner.failure_model import own_key, threshold_key
 from planner.rollout_sampling import MEETING_DRAW, MOVE_DRAW, rows_met
 from planner.rollouts.loop import NO_COUNTS, ClosedLoop, typed, with_features
 from planner.simulator.areas import Log, make_log
-from planner.simulator.codes import NO_AREA, NONE
+from planner.simulator.codes import NONE
 from planner.simulator.jit import has_program
 from planner.simulator.rollouts import run_group_tasks
 from planner.simulator.state import (
-    AREA_BITS,
     MOST_PASSES,
     SINGLES,
     Counts,
@@ -219,15 +218,14 @@ class _Team:
         return all(list(self.pool.map(take, self.runners)))
 
 
-def one_group(ids: NDArray[np.uint32]) -> Tasks:
-    """All ids as one group, from level 0."""
-    return np.array([[0, 0, len(ids)]]), np.zeros(1, dtype=np.int64)
+def groups_at(begin: NDArray[np.int64], end: int, level: Any = 0) -> Tasks:
+    """Groups of ids that begin at these places, the last one up to `end`, from these levels."""
+    levels = np.broadcast_to(level, begin.shape)
+    return np.column_stack([levels, begin, np.append(begin[1:], end)]), np.zeros(1, dtype=np.int64)
 
 
-def groups_of_one(ids: NDArray[np.uint32]) -> Tasks:
-    """Each id as a group, from level 0."""
-    begin = np.arange(len(ids))
-    return np.column_stack([np.zeros_like(begin), begin, begin + 1]), np.zeros(1, dtype=np.int64)
+ONE = np.zeros(1, dtype=np.int64)
+"""Begin of a group of all ids."""
 
 
 def groups_by_map(ids: NDArray[np.uint32], uncertainty: Uncertain, seed: int) -> Tasks:
@@ -235,9 +233,8 @@ def groups_by_map(ids: NDArray[np.uint32], uncertainty: Uncertain, seed: int) ->
     # Rollouts with different true maps are different runs from the first step on.
     truth = rows_met(uncertainty, seed, ids)[:, 0]
     order = np.argsort(truth, kind="stable")
-    ids[:], found = ids[order], np.unique(truth, return_index=True)
-    begin = np.searchsorted(truth[order], found[0])
-    return np.column_stack([found[0], begin, np.append(begin[1:], len(ids))]), np.zeros(1, dtype=np.int64)
+    ids[:], found = ids[order], np.unique(truth)
+    return groups_at(np.searchsorted(truth[order], found), len(ids), found)
 
 
 def join_groups(ids: NDArray[np.uint32], marks: NDArray[np.void], most: int) -> tuple[list[NDArray[np.uint32]], Tasks]:
@@ -317,20 +314,9 @@ class Runner:
         self._make_room(first_room(loop.tables))
 
     @property
-    def area_of(self) -> NDArray[np.int32]:
-        """int32 `[A]`, the last area of each cell, at the end of the last run."""
-        found = (self._state.home[0, :-1] >> AREA_BITS).astype(np.int32)
-        return np.where(found == self._room - 1, NO_AREA, found) if self._loop.learns else found
-
-    @property
     def state(self) -> State:
         """The state at the end of the last run."""
         return State._make(row[0] for row in self._state)
-
-    @property
-    def odds(self) -> NDArray[np.int64]:
-        """int64 `[A]`, log odds of a hazard in each cell at the end of the last run; empty without estimates."""
-        return self._state.odds[0]
 
     @property
     def has_grown(self) -> bool:
@@ -375,7 +361,7 @@ class Runner:
         """The groups that these rollouts begin as."""
         if self._loop.uncertainty is not None:
             return groups_by_map(ids, self._loop.uncertainty, self._seed)
-        return groups_of_one(ids) if self._loop.runs_alone else one_group(ids)
+        return groups_at(np.arange(len(ids)) if self._loop.runs_alone else ONE, len(ids))
 
     def run_one(self, rollout: int, log: Log = NO_LOG) -> NDArray[np.int32]:
         """Run one rollout; its numbers, int32 `[SINGLES]`. Counts are not kept from one call to the next."""
@@ -392,7 +378,7 @@ class Runner:
         """
         self.work.remembered[:], self.work.slots[:] = 1, 0
         first, how = self._loop.first_state(self._room), self.how._replace(aside=len(stack.marks) - 1)
-        return self._call(first, one_group(ids), stack, NO_LOG, how, ids, singles)
+        return self._call(first, groups_at(ONE, len(ids)), stack, NO_LOG, how, ids, singles)
 
     def take(self, waiting: State, tasks: Tasks, ids: NDArray[np.uint32], singles: Singles, log: Log = NO_LOG) -> bool:
         """Run tasks until all are taken; False if the area registry is full."""
@@ -407,10 +393,9 @@ class Runner:
             most: histories, at most.
         """
         how, nobody = self.how._replace(cut=cut, most=most), np.zeros(1, dtype=np.uint32)
-        whole = np.array([[0, 0, mass]])
         self._make_room(self._room)
         while True:
-            given = self._loop.first_state(self._room), (whole, np.zeros(1, dtype=np.int64)), self._state, NO_LOG, how
+            given = self._loop.first_state(self._room), groups_at(ONE, mass), self._state, NO_LOG, how
             if self._call(*given, nobody, singles_of(self._loop, 0, 0)) != NONE:
                 return self.counts
             self._make_room(4 * self._room)
@@ -426,7 +411,7 @@ class Runner:
         passes = self._loop.weights is not None
         loop = self._loop
         sizes = len(loop.cells), loop.accessible, loop.robots, loop.max_steps
-        self.counts = make_counts(*sizes, passes, loop.comes_home, bool(loop.tables.scores))
+        self.counts = make_counts(*sizes, passes, loop.comes_home, bool(loop.tables.scores), loop.delivers)
 
     def _call(
         self, waiting: State, tasks: Tasks, stack: State, log: Log, how: How, ids: NDArray[np.uint32], singles: Singles
@@ -440,5 +425,7 @@ class Runner:
     def is_compiled(self, cached: bool) -> bool:
         """True if the program of these rollouts is compiled in this process or, with `cached`, in the cache."""
         ids, state = np.zeros(1, dtype=np.uint32), self._state
-        given = self._arguments(state, one_group(ids), state, NO_LOG, self.how, ids, singles_of(self._loop, 0, 0))
+        given = self._arguments(
+            state, groups_at(ONE, len(ids)), state, NO_LOG, self.how, ids, singles_of(self._loop, 0, 0)
+        )
         return has_program(run_group_tasks, given, cached)

@@ -6,37 +6,24 @@ It is the rollout of the same seed and id that the compiled programs count, even
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.mrac.problem import Problem, ready_loop
-from planner.plan.plan import Area, Leg, Plan, last_move
-from planner.plan.state import AreaState, MissionState, RobotState
+from planner.plan.plan import Area, Leg, LegKind, Plan
+from planner.plan.state import NO_CELLS, AreaState, MissionState, RobotState
 from planner.rollout_sampling import rows_met
 from planner.rollouts.closed_loop import compile_closed_loop, logged_rollouts, trace_from
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.runners import Runner
 from planner.rollouts.tables import first_frames
 from planner.simulator.areas import FRAME_ROWS, Log
-from planner.simulator.codes import NO_AREA, NO_ROBOT, NONE, Doing, EventKind, Outcome
+from planner.simulator.codes import ACTS, LANDING, NO_AREA, NO_ROBOT, NONE, STARTING, Doing, EventKind, Outcome
 from planner.simulator.jit import interpreted
-from planner.simulator.state import (
-    ACTS,
-    AREA_BITS,
-    MOST_NARROW,
-    OUT,
-    SURVIVED,
-    TO_DO,
-    VISITED,
-    State,
-    Tables,
-    Work,
-    first_room,
-    make_work,
-)
+from planner.simulator.state import AREA_BITS, MOST_NARROW, SURVIVED, TO_DO, VISITED, State, Work, first_room, make_work
 from planner.tally import Trace
 from planner.world.world import World
 
@@ -47,54 +34,6 @@ OWN = "left", "at", "met", "begin"
 """Scratch arrays that belong to the rollout, not to the world."""
 NOT_BEGUN = -1
 """The step before t = 0, at which robots enter their starts."""
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """What happened in one run. Axis `K` = robots, `N` = H * W cells.
-
-    Attributes:
-        paths: per robot int64 `[steps + 1]`: its cell at each step from t = 0 to its last move.
-        legs: per robot, its travel and cover legs.
-        areas_added: areas made during the run, by sharing or reallocation, in id order.
-        outcome, time: how and at which step it ended.
-        bisected, divided: areas shared whose unvisited cells were one component, and that lay in several already.
-        visited, survived: bool `[N]`, cells entered, and entered without being lost there.
-        alive: bool `[K]`. home: bool `[K]`, alive and at a base, of robots that return to base (SPEC section 19).
-        area_of: int32 `[N]`, id of the last area that each cell belonged to, -1 where inaccessible.
-        trace: the same as every engine reports it.
-    """
-
-    paths: tuple[NDArray[np.int64], ...]
-    legs: tuple[tuple[Leg, ...], ...]
-    areas_added: tuple[Area, ...]
-    bisected: int
-    divided: int
-    visited: NDArray[np.bool_]
-    survived: NDArray[np.bool_]
-    alive: NDArray[np.bool_]
-    home: NDArray[np.bool_]
-    trace: Trace
-
-    @property
-    def outcome(self) -> Outcome:
-        """The outcome of the run."""
-        return self.trace.outcome
-
-    @property
-    def time(self) -> int:
-        """The step at which the run ended."""
-        return self.trace.time
-
-    @property
-    def area_of(self) -> NDArray[np.int32]:
-        """int32 `[N]`: the last area of each cell, -1 where inaccessible."""
-        return self.trace.area_of
-
-    @property
-    def shares(self) -> int:
-        """The number of areas shared."""
-        return self.bisected + self.divided
 
 
 class Notes:
@@ -126,15 +65,11 @@ class SingleRun:
         raw: the state, as arrays. `s` holds the same memory as records, for the simulator as Python; `t`, `p`, `w`,
             `c`, `how` and `log` are the other arguments of its functions.
         new_events: int32 `[n, 5]`, the events of the last step, with cells as numbers of accessible cells.
+        turned: robots that have started their return to base, which they never abort.
     """
 
     def __init__(
-        self,
-        loop: ClosedLoop,
-        seed: int = 0,
-        rollout: int = 0,
-        known: Work | None = None,
-        hit: Hit | None = None,
+        self, loop: ClosedLoop, seed: int = 0, rollout: int = 0, known: Work | None = None, hit: Hit | None = None
     ) -> None:
         """Prepare the rollout.
 
@@ -172,22 +107,14 @@ class SingleRun:
         self.raw.marks["last"] = 1
         self._recall()
         rows = 8 * len(loop.cells) + 16 * loop.robots + 256
-        self.log = Log(
-            np.zeros((rows, 5), dtype=np.int32),
-            np.zeros((1, FRAME_ROWS, loop.robots), np.int32),
-            np.full((1, loop.robots), NONE, np.int32),
-            True,
-        )
+        frames, legs = np.zeros((1, FRAME_ROWS, loop.robots), np.int32), np.full((1, loop.robots), NONE, np.int32)
+        self.log = Log(np.zeros((rows, 5), np.int32), frames, legs, True)
         self.outcome: Outcome | None = None
         self.new_events = self.log.events[:0]
-        # Moves left of robots that neither move nor wait; for a moving robot `until` is a turn instead.
-        self.left = dict[int, int]()
-        self.turned, self._acting = set[int](), b""
-        for robot, given in enumerate(() if loop.state is None else loop.state.robots):
-            if given.turned:
-                self.turned.add(robot)
-            if not (holds(self.raw.movers, robot) or holds(self.raw.waiting, robot)):
-                self.left[robot] = int(self.raw.robots["until"][robot])
+        given = () if loop.state is None else loop.state.robots
+        self.turned = {robot for robot, one in enumerate(given) if one.turned}
+        self._moved = self.raw.movers.copy()
+        self._steps: list[tuple[NDArray[np.int32], ...]] = []
 
     def _take(self, stack: State) -> None:
         """Use level 0 of the stack as the state."""
@@ -212,7 +139,7 @@ class SingleRun:
         other.log = self.log._replace(events=np.zeros_like(self.log.events), frames=self.log.frames.copy())
         other.log.events[: self.log.events[0, 0] + 1] = self.log.events[: self.log.events[0, 0] + 1]
         # Callbacks belong to the original run: a copy decides by the rule and records nothing.
-        other.t, other.left, other.turned = self.t._replace(asks=None, notes=None), self.left.copy(), self.turned.copy()
+        other.t, other.turned, other._steps = self.t._replace(asks=None, notes=None), self.turned.copy(), [*self._steps]
         return other
 
     def __getstate__(self) -> dict[str, Any]:
@@ -259,6 +186,7 @@ class SingleRun:
             found = interpreted("step").advance(self.t, self.p, self.s, self.c, self.w, self.log, self.how, self.ids)
         self.outcome = None if found == NONE else Outcome(int(found))
         self.take_events()
+        self._steps.append((self.frame(), self.new_events, self.log.legs[0].copy()))
         return self.outcome
 
     def learn(self) -> bool:
@@ -279,16 +207,15 @@ class SingleRun:
         self.new_events = self.log.events[1 : int(self.log.events[0, 0]) + 1].copy()
         if len(self.new_events):
             self.turned |= set(self.new_events[self.new_events[:, 2] == EventKind.TURNED_HOME, 1].tolist())
-        # Most steps change neither set, so the loop over robots is skipped.
-        acting = self.raw.movers.tobytes() + self.raw.waiting.tobytes()
-        if acting == self._acting:
-            return
-        self._acting = acting
-        for robot in range(self.loop.robots):
-            if holds(self.raw.movers, robot) or holds(self.raw.waiting, robot):
-                self.left.pop(robot, None)
-            elif robot not in self.left:
-                self.left[robot] = int(self.raw.robots["until"][robot]) - self._turns(robot)
+        self._count_moves()
+
+    def _count_moves(self) -> None:
+        """Make `until` the moves left of robots that have stopped moving; of a moving robot it is a turn."""
+        stopped = self._moved & ~(self.raw.movers | self.raw.waiting)
+        for robot in range(self.loop.robots if stopped.any() else 0):
+            if holds(stopped, robot):
+                self.raw.robots["until"][robot] -= self._turns(robot)
+        self._moved = self.raw.movers.copy()
 
     def _make_room(self) -> None:
         """Grow the arrays so that they hold all areas that a step may make."""
@@ -316,21 +243,14 @@ class SingleRun:
 
     # --- the current state ---
 
-    @property
-    def robots(self) -> list[RobotNow]:
-        """The robots, in index order."""
-        return [RobotNow(self, number) for number in range(self.loop.robots)]
-
     def cell(self, robot: int) -> int:
         """The cell of the robot, `row * W + col`."""
         return int(self.loop.cells[self.raw.robots["cell"][robot]])
 
     def moves_left(self, robot: int) -> int:
         """The number of moves that the robot can still make, at the end of a step."""
-        until = int(self.raw.robots["until"][robot])
-        if robot in self.left or holds(self.raw.waiting, robot):
-            return self.left.get(robot, until)
-        return until - self._turns(robot)
+        until, moved = int(self.raw.robots["until"][robot]), self.raw.movers | (self._moved & ~self.raw.waiting)
+        return until - self._turns(robot) if holds(moved, robot) else until
 
     def _turns(self, robot: int) -> int:
         """The number of the robot's turns by the end of the last step."""
@@ -343,19 +263,18 @@ class SingleRun:
 
     @property
     def visited(self) -> NDArray[np.bool_]:
-        """bool `[A]`: accessible cells that are visited."""
-        return flagged(self.loop, self.raw, VISITED)
+        """bool `[N]`: cells that are visited."""
+        return self.loop.flagged(self.raw, VISITED)
 
     @property
     def survived(self) -> NDArray[np.bool_]:
-        """bool `[A]`: accessible cells that a robot entered without being lost."""
-        return flagged(self.loop, self.raw, SURVIVED)
+        """bool `[N]`: cells that a robot entered without being lost."""
+        return self.loop.flagged(self.raw, SURVIVED)
 
     @property
     def area_of(self) -> NDArray[np.int32]:
-        """int32 `[A]`: the area of each accessible cell, NO_AREA if it is in none."""
-        found = (self.raw.home[:-1] >> AREA_BITS).astype(np.int32)
-        return np.where(found == len(self.raw.areas) - 1, NO_AREA, found) if self.loop.learns else found
+        """int32 `[N]`: the area of each cell, NO_AREA if it is in none."""
+        return self.loop.area_of(self.raw)
 
     @property
     def open(self) -> list[int]:
@@ -375,8 +294,21 @@ class SingleRun:
 
     def doing(self, robot: int) -> Doing:
         """The status of the robot."""
-        state, code = interpreted("state"), int(self.raw.robots["doing"][robot])
-        return Doing({state.LANDING: Doing.IDLE, state.STARTING: Doing.TRAVELING}.get(code, code))
+        code = int(self.raw.robots["doing"][robot])
+        return Doing({LANDING: Doing.IDLE, STARTING: Doing.TRAVELING}.get(code, code))
+
+    def area(self, robot: int) -> int:
+        """The id of the robot's area, NO_AREA if it has none."""
+        return (
+            int(self.raw.robots["area"][robot]) if self.doing(robot) in (Doing.TRAVELING, Doing.COVERING) else NO_AREA
+        )
+
+    def to_do(self, robot: int) -> NDArray[np.int64]:
+        """The cells that the robot's coverage path still has to reach; no leg crosses one of them."""
+        if self.doing(robot) is not Doing.COVERING:
+            return np.zeros(0, dtype=np.int64)
+        flags = self.loop.on_grid(self.raw.home[:-1] & TO_DO != 0) if self.p is None else ~self.visited
+        return np.flatnonzero((self.area_of == self.area(robot)) & flags)
 
     def path_ahead(self, robot: int) -> list[int]:
         """The cells of the robot's current path, as numbers of accessible cells, the next one first."""
@@ -384,7 +316,7 @@ class SingleRun:
 
     def _ahead(self, robot: int) -> Iterator[int]:
         me, t, s, w = self.s.robots[robot], self.t, self.s, self.w
-        state, doing = interpreted("state"), self.doing(robot)
+        doing = self.doing(robot)
         if doing is Doing.FOLLOWING:
             yield from map(int, t.given[robot, max(s.marks.step, 0) + (s.marks.step == 0) : t.length[robot] + 1])
         elif doing is Doing.RETURNING:
@@ -393,12 +325,12 @@ class SingleRun:
             while int(onward[cell]) != cell:
                 cell = int(onward[cell])
                 yield cell
-        elif me.doing == state.STARTING or doing in (Doing.TRAVELING, Doing.COVERING):
+        elif me.doing == STARTING or doing in (Doing.TRAVELING, Doing.COVERING):
             # The functions that find legs change the state: it is restored below.
             self._recall()
             kept = self.raw.robots[robot].copy(), self.raw.legs[robot : robot + 1].copy(), self.raw.home.copy()
             paths = interpreted("paths")
-            if me.doing == state.STARTING:
+            if me.doing == STARTING:
                 paths.set_out(t, s, w, robot, paths.entry_of(t, s, w, robot, me.area), t.searches)
             found = list[int]()
             while me.cell != me.target or me.left > 0:
@@ -419,129 +351,45 @@ class SingleRun:
             self.raw.robots[robot], self.raw.legs[robot : robot + 1], self.raw.home[:] = kept
             yield from found
 
+    # --- a whole run ---
 
-class RobotNow:
-    """A robot in the current state of a run. Cells are indices `row * W + col`.
+    def play(self) -> Self:
+        """Advance to the end."""
+        while self.outcome is None:
+            self.advance()
+        return self
 
-    Attributes:
-        number: its index.
+    @property
+    def trace(self) -> Trace:
+        """The trace of a finished rollout, which begins at t = 0 even if the mission was resumed later."""
+        assert self.outcome is not None
+        frames, events, _ = zip(*self._steps, strict=True)
+        before = () if self.loop.state is None else first_frames(self.loop.state, self.loop.cells)
+        made = np.array([*before, *frames]), np.concatenate(events)
+        return trace_from(self.loop, self.rollout, *made, self.area_of, self.outcome)
+
+    @property
+    def legs(self) -> tuple[tuple[Leg, ...], ...]:
+        """The travel and cover legs of each robot so far."""
+        return legs_of(self.loop, np.array([legs for *_, legs in self._steps]), self.raw.areas["level"])
+
+    @property
+    def home(self) -> NDArray[np.bool_]:
+        """bool `[K]`: robots that are not lost and are at a base; none if robots do not return (SPEC section 19)."""
+        if not self.loop.comes_home:
+            return np.zeros(self.loop.robots, dtype=np.bool_)
+        return self.alive & (self.t.home_steps[self.t.home_of, self.raw.robots["cell"]] == 0)
+
+
+def play_compiled(loop: ClosedLoop) -> tuple[Trace, tuple[tuple[Leg, ...], ...], tuple[Area, ...]]:
+    """Rollout 0 by the compiled engine, for large maps: of a known map and a built-in policy.
+
+    Returns:
+        (trace, `SingleRun.legs`, areas made).
     """
-
-    def __init__(self, run: SingleRun, number: int) -> None:
-        self._run, self.number = run, number
-
-    @property
-    def _me(self) -> Any:
-        return self._run.raw.robots[self.number]
-
-    @property
-    def cell(self) -> int:
-        """The cell of the robot."""
-        return int(self._run.loop.cells[self._me["cell"]])
-
-    @property
-    def status(self) -> Doing:
-        """The status of the robot."""
-        return self._run.doing(self.number)
-
-    @property
-    def alive(self) -> bool:
-        """True if the robot is not lost."""
-        return self.status is not Doing.DEAD
-
-    @property
-    def on_its_way(self) -> bool:
-        """True if the robot travels to an area or covers one."""
-        return self.status in (Doing.TRAVELING, Doing.COVERING)
-
-    @property
-    def busy(self) -> bool:
-        """True if the robot has a path: to or in its area, to its base, or an external plan's."""
-        return self.on_its_way or self.status in (Doing.FOLLOWING, Doing.RETURNING)
-
-    @property
-    def area(self) -> int:
-        """The id of its area, NO_AREA if it has none."""
-        return int(self._me["area"]) if self.on_its_way else NO_AREA
-
-    @property
-    def held(self) -> bool:
-        """True if the cap on robots at risk (`risk_cap`) keeps it from areas with threats, until it gets an area."""
-        return bool(self._me["held"])
-
-    @property
-    def ahead(self) -> list[int]:
-        """The cells of its current path, the next one first."""
-        return self._run.loop.cells[self._run.path_ahead(self.number)].tolist()
-
-    @property
-    def to_do(self) -> NDArray[np.int64]:
-        """The cells that its coverage path still has to reach; no leg crosses one of them."""
-        run = self._run
-        if self.status is not Doing.COVERING:
-            return np.zeros(0, dtype=np.int64)
-        mine = run.area_of == self.area
-        flags = ~run.visited if run.p is not None else run.raw.home[:-1] & TO_DO != 0
-        return run.loop.cells[mine & flags]
-
-    @property
-    def moves(self) -> int:
-        """The number of moves that the robot can still make."""
-        return self._run.moves_left(self.number)
-
-    @property
-    def turned(self) -> bool:
-        """True if the robot has started its return to base, which it never aborts."""
-        return self.number in self._run.turned
-
-
-def play(run: SingleRun) -> Run:
-    """Advance the run to its end."""
-    loop, frames, events, legs = run.loop, list[NDArray](), list[NDArray](), list[NDArray]()
-    if loop.state is not None:
-        # A trace begins at t = 0 even if the mission is resumed later.
-        frames += list(first_frames(loop.state, loop.cells))
-    while run.outcome is None:
-        run.advance()
-        frames.append(run.frame())
-        events.append(run.new_events)
-        legs.append(run.log.legs[0].copy())
-    trace = trace_from(loop, run.rollout, np.array(frames), np.concatenate(events), run.area_of, run.outcome)
-    return _as_run(loop, run.t, run.raw, trace, np.array(legs), tuple(run.notes.made))
-
-
-def play_compiled(loop: ClosedLoop) -> Run:
-    """Rollout 0 by the compiled engine, for large maps: of a known map and a built-in policy."""
     ((trace, legs, runner),) = logged_rollouts(loop, 0, (0,), legs=True)
-    first = 0 if loop.state is None else loop.state.step + 1
-    made = areas_made(loop, trace, runner.state.areas["level"])
-    return _as_run(loop, runner.tables, runner.state, trace, legs[first:], made)
-
-
-def _as_run(
-    loop: ClosedLoop, tables: Tables, raw: State, trace: Trace, legs: NDArray[np.int32], made: tuple[Area, ...]
-) -> Run:
-    """The run that ended in the state `raw`. `legs`: `Log.legs` of its own steps."""
-    alive, home = raw.robots["doing"] != Doing.DEAD, np.zeros(loop.robots, dtype=np.bool_)
-    return Run(
-        paths=tuple(path[: last_move(path) + 1] for path in trace.cells.T.astype(np.int64)),
-        legs=legs_of(loop, legs, raw.areas["level"]),
-        areas_added=made,
-        bisected=int(raw.marks["bisected"]),
-        divided=int(raw.marks["divided"]),
-        visited=loop.on_grid(flagged(loop, raw, VISITED)),
-        survived=loop.on_grid(flagged(loop, raw, SURVIVED)),
-        alive=alive,
-        home=at_base(tables, raw) if loop.comes_home else home,
-        trace=trace,
-    )
-
-
-def flagged(loop: ClosedLoop, raw: State, flag: int) -> NDArray[np.bool_]:
-    """bool `[A]`: accessible cells with this flag, VISITED or SURVIVED."""
-    has_it = raw.home[:-1] & flag != 0
-    # While robots learn the map, an unvisited cell in no area has both flags.
-    return has_it & (raw.known & OUT == 0) if loop.learns else has_it
+    first, level = 0 if loop.state is None else loop.state.step + 1, runner.state.areas["level"]
+    return trace, legs_of(loop, legs[first:], level), areas_made(loop, trace, level)
 
 
 def areas_made(loop: ClosedLoop, trace: Trace, level: NDArray[np.int32]) -> tuple[Area, ...]:
@@ -555,10 +403,8 @@ def areas_made(loop: ClosedLoop, trace: Trace, level: NDArray[np.int32]) -> tupl
     # From the last area to the first: a part may have been split again, so its own parts are added first.
     for number in range(len(parents) - 1, -1, -1):
         inside[parents[number]] = np.concatenate([inside[parents[number]], inside[given + number]])
-    return tuple(
-        Area(int(level[number]), NO_ROBOT, np.sort(inside[number]).astype(np.int64))
-        for number in range(given, given + len(parents))
-    )
+    cells = (np.sort(of).astype(np.int64) for of in inside[given:])
+    return tuple(Area(int(of), NO_ROBOT, mine) for of, mine in zip(level[given:], cells, strict=False))
 
 
 def legs_of(loop: ClosedLoop, noted: NDArray[np.int32], level: NDArray[np.int32]) -> tuple[tuple[Leg, ...], ...]:
@@ -576,24 +422,10 @@ def legs_of(loop: ClosedLoop, noted: NDArray[np.int32], level: NDArray[np.int32]
         # A leg begins where area or kind changes, or after a wait.
         begins = np.flatnonzero((np.diff(of[moves], prepend=NONE - 1) != 0) | (np.diff(moves, prepend=-pace) > pace))
         ends = np.append(begins[1:], len(moves)) - 1
-        rows = zip(
-            of[moves[begins]].tolist(),
-            (first + moves[begins]).tolist(),
-            (first + moves[ends] + 1).tolist(),
-            strict=True,
-        )
-        found.append(
-            tuple(
-                Leg("cover" if code & 1 else "travel", code >> 1, int(level[code >> 1]), start, stop)
-                for code, start, stop in rows
-            )
-        )
+        rows = np.stack([of[moves[begins]], first + moves[begins], first + moves[ends] + 1], axis=1).tolist()
+        kinds: tuple[LegKind, LegKind] = "travel", "cover"
+        found.append(tuple(Leg(kinds[of & 1], of >> 1, int(level[of >> 1]), *span) for of, *span in rows))
     return tuple(found)
-
-
-def at_base(tables: Tables, raw: State) -> NDArray[np.bool_]:
-    """bool `[K]`: robots that are not lost and are at a base. Only for robots that return to base."""
-    return (tables.home_steps[tables.home_of, raw.robots["cell"]] == 0) & (raw.robots["doing"] != Doing.DEAD)
 
 
 # A run as the state of a mission (SPEC section 12).
@@ -609,17 +441,16 @@ def state_of(run: SingleRun, problem: Problem, cumulative_hazard: Sequence[int] 
             robot may exceed every threshold that can be drawn: then the largest possible value is kept.
     """
     world, settings, loop = problem.world, problem.settings, run.loop
-    settings.require_no_recharge("the state of a mission")
-    settings.require_uniform("the state of a mission")
-    known, home, cells = None, problem.home, loop.cells
+    settings.require_uniform("the state of a mission", "recharge", "deliver_every")
+    known, home, cells, delivers = None, problem.home, loop.cells, loop.delivers
     if cumulative_hazard is not None and settings.weibull_shape != 1:
         known = np.minimum(cumulative_hazard, settings.failure_model().most(loop.robots)).tolist()
-    area_of, visited, areas = run.area_of, run.visited, list[AreaState]()
-    owner = {int(robot.area): robot.number for robot in run.robots if robot.on_its_way}
-    place = dict[int, int]()
+    area_of, (places, doing, area), areas = run.area_of, run.frame().tolist(), list[AreaState]()
+    owner = {number: robot for robot, number in enumerate(area) if number != NO_AREA}
+    place = {NO_AREA: NO_AREA}
     for number in range(int(run.raw.marks["areas"])):
-        inside = area_of == number
-        if not inside.any():
+        inside = np.flatnonzero(area_of == number)
+        if not len(inside):
             continue
         place[number] = len(areas)
         left, status = int(run.raw.areas["left"][number]), "completed"
@@ -627,21 +458,22 @@ def state_of(run: SingleRun, problem: Problem, cumulative_hazard: Sequence[int] 
             status = "unassigned"
         elif number in owner and left > 0:
             status = "assigned"
-        areas.append(AreaState(int(run.raw.areas["level"][number]), owner.get(number, NO_ROBOT), status, cells[inside]))
+        areas.append(AreaState(int(run.raw.areas["level"][number]), owner.get(number, NO_ROBOT), status, inside))
     robots = tuple(
         RobotState(
-            cell=robot.cell,
-            status=robot.status.name.lower(),
-            area=place[robot.area] if robot.on_its_way else NO_AREA,
-            ahead=np.array(robot.ahead if robot.on_its_way else [], dtype=np.int64),
-            to_do=robot.to_do,
-            moves=int(problem.range[robot.number]) - robot.moves,
-            held=robot.held,
-            exposure=None if known is None else known[robot.number],
-            home=None if home is None else int(home.starts[robot.number]),
-            turned=robot.turned,
+            cell=int(cells[places[robot]]),
+            status=Doing(doing[robot]).name.lower(),
+            area=place[area[robot]],
+            ahead=cells[run.path_ahead(robot) if area[robot] != NO_AREA else []],
+            to_do=run.to_do(robot),
+            moves=int(problem.range[robot]) - run.moves_left(robot),
+            held=bool(run.raw.robots["held"][robot]),
+            exposure=None if known is None else known[robot],
+            home=None if home is None else int(home.starts[robot]),
+            turned=robot in run.turned,
+            carried=cells[_members(run.raw.carried[robot], len(cells))] if delivers else NO_CELLS,
         )
-        for robot in run.robots
+        for robot in range(loop.robots)
     )
     over, quiet = int(run.raw.marks["over"]), int(run.raw.marks["quiet"])
     if run.outcome is None:  # the run waits for an announced phase: that is not yet no progress
@@ -650,13 +482,19 @@ def state_of(run: SingleRun, problem: Problem, cumulative_hazard: Sequence[int] 
         world.shape,
         world.sha256,
         run.step,
-        cells[visited],
-        cells[run.survived],
+        np.flatnonzero(run.visited),
+        np.flatnonzero(run.survived),
         robots,
         tuple(areas),
         0 if over else quiet,
         Outcome(over - 1).word if over else None,
+        cells[_members(run.raw.carried[-1], len(cells))] if delivers else None,
     )
+
+
+def _members(bits: NDArray[np.uint64], count: int) -> NDArray[np.bool_]:
+    """bool `[count]`: whether each number is in the set."""
+    return np.unpackbits(bits.view(np.uint8), bitorder="little")[:count].astype(np.bool_)
 
 
 class PythonLoop:
@@ -684,9 +522,9 @@ class PythonLoop:
         self._known = run.w
         return run
 
-    def run(self, seed: int, rollout: int) -> Run:
+    def run(self, seed: int, rollout: int) -> SingleRun:
         """A whole rollout."""
-        return play(self.begin(seed, rollout))
+        return self.begin(seed, rollout).play()
 
     def trace(self, seed: int, rollout: int) -> Trace:
         """The trace of a whole rollout, as the engines report it."""

@@ -20,7 +20,7 @@ from planner.plan.state import ON_ITS_WAY, MissionState, RobotState
 from planner.policies import RULES
 from planner.policies.rules import Rule, most_at_risk
 from planner.rollout_sampling import chance_bound
-from planner.simulator.codes import NO_CELL, Outcome
+from planner.simulator.codes import NO_CELL, Doing, Outcome
 from planner.simulator.jit import UNCOUNTED
 from planner.simulator.offers import NO_REFUSAL, Offer
 from planner.simulator.paths import all_pairs, to_areas
@@ -28,19 +28,12 @@ from planner.simulator.policy import Policy
 from planner.simulator.searches import BY_INDEX, UNREACHED, SafestPaths, find_safe_parts, neighbour_table
 from planner.simulator.state import (
     AREA_BITS,
-    COVERING,
-    DEAD,
-    DONE,
-    IDLE,
     MOST_CELLS,
-    MOVER_WORDS,
     NO_LEVEL,
     OUT,
     RANKED,
-    RETURNING,
     SURVIVED,
     TO_DO,
-    TRAVELING,
     VISITED,
     WORD,
     State,
@@ -48,6 +41,7 @@ from planner.simulator.state import (
     fill,
 )
 from planner.world.map_knowledge import Evidence
+from planner.world.moving_threats import MovingThreats
 from planner.world.uncertain_maps import bounds_of
 from planner.world.world import World
 
@@ -60,6 +54,8 @@ NEAR_CELLS = 500
 ASKED_BEFORE = 2
 """Searches for the next area from a cell before its costs to all cells are kept, on maps of MOST_CELLS or more: there a
 row costs as much as several searches, on smaller maps hardly more than one."""
+DRAWN = "own_counter", "there", "column", "spent", "phases"
+"""Fields of `Tables` for draws of uncertain cells and for phases."""
 NO_VIEWS = np.zeros(2, dtype=np.int64), np.zeros(0, dtype=np.int32)
 STRIP = 2**20
 """Pairs of a cell and an area sorted at a time, of 40 bytes each."""
@@ -118,16 +114,15 @@ def make_tables(
     # With several robot types each has its own costs, so its tables; they are concatenated, type after type.
     if tabled:
         entries = [entry] if problem.own is None else problem.own.costs[:, cells]
-        of_types = [
-            (kept if problem.own is None and kept else AllPairs()).tables(near, one, cost.dtype, hop.dtype)
-            for one in entries
-        ]
+        kept = kept if kept and problem.own is None else AllPairs()
+        of_types = [kept.tables(near, one, cost.dtype, hop.dtype) for one in entries]
         areas_of = [to_areas(of_type[0], hop.dtype, order, begin) for of_type in of_types]
         cost, hop, ranked = of_types[0] if problem.own is None else map(np.concatenate, zip(*of_types, strict=True))
         area_cost, area_entry = map(np.concatenate, zip(*areas_of, strict=True))
     searches = not tabled or problem.settings.transit == "area"
     beside = np.where(near == NO_CELL, len(cells), near).astype(narrow)
     sides = problem.sides[cells]
+    types = None if problem.own is None else problem.settings.types
     tables = Tables(
         near=beside,
         sweep=beside if (sides == BY_INDEX).all() else np.take_along_axis(beside, sides, axis=1),
@@ -139,12 +134,9 @@ def make_tables(
         **by_price(problem, area_cost, cells, order, begin, level),
         entry=entry if searches else entry[:0],
         **_for_searches(near, entry[: 0 if tabled or unknown else len(cells)], narrow),
-        **_learning(unknown, problem.entry, cells, compact, narrow),
-        **visit_tables(_kinds(problem), cells),
+        **visit_tables(kinds_of(problem.world, types, len(problem.starts)), cells),
         **failure_tables(failure_model, len(problem.starts)),
-        **moving_threat_tables(problem.world, compact, len(cells)),
-        type_of=np.zeros(0, dtype=np.int64) if problem.own is None else problem.own.of,
-        own_level=np.zeros((0, 0), dtype=np.int64) if problem.own is None else problem.own.level,
+        **moving_threat_tables(problem.world.movers, compact, len(cells)),
         **_clocks(problem.settings.paces),
         **_radio(problem, cells),
         starts=compact[problem.starts],
@@ -156,13 +148,17 @@ def make_tables(
         given=_given(problem, compact, narrow),
         length=np.array([len(path) - 1 for path in problem.given], dtype=np.int32),
         **_ways_home(problem, cells, compact, narrow),
+        in_view=np.zeros(0, dtype=narrow),
+        quiet_steps=STUCK_AFTER * max(problem.settings.paces, default=1),
     )
-    tables = tables._replace(quiet_steps=STUCK_AFTER * max(problem.settings.paces, default=1))
+    if problem.own is not None:
+        tables = tables._replace(type_of=problem.own.of, own_level=problem.own.level)
     if problem.home is not None:
-        tables = tables._replace(last_step=problem.home.last, recharge=problem.settings.recharge or 0)
+        again: dict[str, Any] = {name: getattr(problem.settings, name) or 0 for name in ("recharge", "deliver_every")}
+        tables = tables._replace(last_step=problem.home.last, **again)
     if unknown is not None:  # a search passes all that is near enough to matter: nothing is far
-        goal, last_update = int(unknown.accessible.sum()), unknown.last_update
-        tables = tables._replace(nearby=len(cells), goal=goal, last_update=last_update)
+        goal, learning = int(unknown.accessible.sum()), _learning(unknown, problem.entry, cells, compact, narrow)
+        tables = tables._replace(nearby=len(cells), goal=goal, last_update=unknown.last_update, **learning)
     return tables
 
 
@@ -175,36 +171,19 @@ def _are_small(problem: Problem, near: NDArray[np.int32], entry: NDArray[np.int6
 
 
 def _learning(
-    unknown: Unknown | None,
-    price: NDArray[np.int64],
-    cells: NDArray[np.int64],
-    compact: NDArray[np.int32],
-    narrow: type,
+    unknown: Unknown, price: NDArray[np.int64], cells: NDArray[np.int64], compact: NDArray[np.int32], narrow: type
 ) -> dict[str, Any]:
     """Fields of `Tables` for online missions."""
-    if unknown is None:
-        levels, numbers = np.zeros(0, dtype=np.int16), np.zeros(0, dtype=np.int64)
-        nothing: dict[str, Any] = {
-            "belief": levels,
-            "price": numbers,
-            "view_begin": numbers,
-            "in_view": numbers.astype(narrow),
-        }
-        return nothing | {"truths": levels.reshape(0, 0)} | _evidence(None, cells)
     begin, seen = unknown.views if unknown.evidence is None or unknown.evidence.detector else NO_VIEWS
-    return _evidence(unknown.evidence, cells) | {
-        "truths": np.ascontiguousarray(unknown.truths[:, cells]),
-        "belief": unknown.belief[cells],
-        "price": price,
-        "view_begin": begin,
-        "in_view": compact[seen].astype(narrow),
-    }
+    truths, belief = np.ascontiguousarray(unknown.truths[:, cells]), unknown.belief[cells]
+    found: dict[str, Any] = {"truths": truths, "belief": belief, "price": price, "view_begin": begin}
+    return found | {"in_view": compact[seen].astype(narrow)} | _evidence(unknown.evidence, cells)
 
 
 def _evidence(evidence: Evidence | None, cells: NDArray[np.int64]) -> dict[str, Any]:
     """Fields of `Tables` for hazard estimates."""
     if evidence is None:
-        return dict.fromkeys(("odds", "survival", "step", "lessons"), np.zeros(0, dtype=np.int64))
+        return {}
     lessons = [evidence.stop, evidence.more, evidence.less, 0, 0, 0, 0]
     # Probabilities as bounds on 24 random bits: the comparison is of whole numbers on every platform.
     if (detector := evidence.detector) is not None:
@@ -232,25 +211,23 @@ def most_cost(near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray
     return most
 
 
-def moving_threat_tables(world: World, compact: NDArray[np.int32], beyond: int) -> dict[str, Any]:
+def moving_threat_tables(movers: MovingThreats | None, compact: NDArray[np.int32], beyond: int) -> dict[str, Any]:
     """Fields of `Tables` for moving threats.
 
     Args:
-        world: the map.
+        movers: of the map.
         compact: int32 `[N]`, index of each accessible cell.
         beyond: index for the other cells of routes.
     """
-    members = () if world.movers is None else world.movers.members
-    begins = np.cumsum([0, *(len(one.route) for one in members)]).tolist()
+    if movers is None:
+        return {}
+    ends = np.cumsum([len(one.route) for one in movers.members]).tolist()
     rows = [
-        (chance_bound(one.stay), chance_bound(one.hit), begin, len(one.route))
-        for one, begin in zip(members, begins, strict=False)
+        (chance_bound(one.stay), chance_bound(one.hit), end - len(one.route), len(one.route))
+        for one, end in zip(movers.members, ends, strict=True)
     ]
-    routes = compact[np.array([cell for one in members for cell in one.route], dtype=np.int64)].astype(np.int64)
-    return {
-        "movers": np.array(rows, dtype=np.int64).reshape(len(rows), MOVER_WORDS),
-        "routes": np.where(routes == NO_CELL, beyond, routes),
-    }
+    routes = compact[np.array([cell for one in movers.members for cell in one.route], dtype=np.int64)].astype(np.int64)
+    return {"movers": np.array(rows, dtype=np.int64), "routes": np.where(routes == NO_CELL, beyond, routes)}
 
 
 def kinds_of(world: World, types: str | tuple[str, ...] | None, robots: int) -> tuple[World, ...]:
@@ -277,16 +254,9 @@ def _clocks(paces: tuple[int, ...]) -> dict[str, Any]:
 def _radio(problem: Problem, cells: NDArray[np.int64]) -> dict[str, Any]:
     """Fields of `Tables` for radio range."""
     if problem.settings.radio is None:
-        pairs = np.zeros((0, 2), dtype=np.int64)
-        return {"place": pairs, "bases": pairs, "reach": pairs[:, 0].copy()}
+        return {}
     place = np.stack(np.divmod(cells, problem.world.shape[1]), axis=1)
     return {"place": place, "bases": problem.bases, "reach": np.array([floor(problem.settings.radio**2 + EPSILON)])}
-
-
-def _kinds(problem: Problem) -> tuple[World, ...]:
-    if problem.own is None:
-        return (problem.world,)
-    return kinds_of(problem.world, problem.settings.types, len(problem.starts))
 
 
 def visit_tables(kinds: tuple[World, ...], cells: NDArray[np.int64]) -> dict[str, Any]:
@@ -304,19 +274,18 @@ def visit_tables(kinds: tuple[World, ...], cells: NDArray[np.int64]) -> dict[str
     (world,) = kinds
     draws, (exposure, doses) = world.draws, world.exposures
     exposure = exposure.reshape(-1, world.threat.size)[:, cells].ravel()
-    # `spent` has room only if losses make cells harmless: an empty array turns the feature off (`FEATURES`).
-    spends = draws is not None and draws.spends
-    spent = np.zeros(-(-len(cells) // WORD) if spends else 0, dtype=np.uint64)
-    drawn: dict[str, Any] = {"spent": spent, "exposure": exposure, "doses": doses}
     threat = world.by_phase[:, cells].ravel()
-    drawn["phases"] = np.zeros(0, dtype=np.int64) if world.phases is None else world.phases.begins
-    drawn["chance"] = threat.astype(np.float64)
+    found: dict[str, Any] = {name: Tables._field_defaults[name] for name in DRAWN}
+    found |= {"exposure": exposure, "doses": doses, "chance": threat.astype(np.float64)}
+    if world.phases is not None:
+        found["phases"] = world.phases.begins
     if draws is None:
-        nothing = np.zeros(0, dtype=np.uint32)
-        drawn |= {"bound": bounds_of(threat), "own_counter": nothing, "there": nothing}
-        return drawn | {"column": nothing.view(np.int32)}
-    drawn |= {name: getattr(draws, name)[cells] for name in ("bound", "there", "column")}
-    return drawn | {"own_counter": draws.counter[cells]}
+        return found | {"bound": bounds_of(threat)}
+    # `spent` has room only if losses make cells harmless: an empty array turns the feature off (`FEATURES`).
+    if draws.spends:
+        found["spent"] = np.zeros(-(-len(cells) // WORD), dtype=np.uint64)
+    found |= {name: getattr(draws, name)[cells] for name in ("bound", "there", "column")}
+    return found | {"own_counter": draws.counter[cells]}
 
 
 def failure_tables(failure_model: FailureModel, robots: int) -> dict[str, Any]:
@@ -327,12 +296,9 @@ def failure_tables(failure_model: FailureModel, robots: int) -> dict[str, Any]:
         robots: K.
     """
     if failure_model.is_even:
-        return dict.fromkeys(("nodes", "times", "begun"), np.zeros(0, dtype=np.int64))
-    return {
-        "nodes": failure_model.nodes,
-        "times": failure_model.times(robots).copy(),
-        "begun": failure_model.exp1_begun(robots),
-    }
+        return {}
+    times, begun = failure_model.times(robots).copy(), failure_model.exp1_begun(robots)
+    return {"nodes": failure_model.nodes, "times": times, "begun": begun}
 
 
 def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: type) -> dict[str, Any]:
@@ -357,18 +323,17 @@ def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: typ
 
 def _ways_home(problem: Problem, cells: NDArray[np.int64], compact: NDArray[np.int32], narrow: type) -> dict[str, Any]:
     """Fields of `Tables` for the return to base, and for drives back into radio range."""
-    home, nothing = problem.home, np.zeros((0, 0), dtype=np.int32)
-    of, onward = np.zeros(0, dtype=np.int64), nothing
-    if home is not None or problem.settings.radio is not None:
-        of, onward = problem.back
-    itself, onward = np.arange(len(cells)), onward[:, cells[: onward.shape[1]]]
-    return {
-        "home_of": of,
-        "home_bases": nothing.astype(np.bool_) if home is None else np.ascontiguousarray(home.bases[:, cells]),
-        "home_steps": nothing if home is None else np.ascontiguousarray(home.steps[:, cells]),
-        "home_cost": nothing.astype(np.int64) if home is None else np.ascontiguousarray(home.cost[:, cells]),
-        "onward": np.where(onward == NO_CELL, itself[: onward.shape[1]], compact[onward]).astype(narrow),
-    }
+    home = problem.home
+    if home is None and problem.settings.radio is None:
+        return {"onward": np.zeros((0, 0), dtype=narrow)}
+    of, onward = problem.back
+    onward = onward[:, cells]
+    found = {"home_of": of, "onward": np.where(onward == NO_CELL, np.arange(len(cells)), compact[onward])}
+    found["onward"] = found["onward"].astype(narrow)
+    if home is not None:
+        rows = {"home_bases": home.bases, "home_steps": home.steps, "home_cost": home.cost}
+        found |= {name: np.ascontiguousarray(row[:, cells]) for name, row in rows.items()}
+    return found
 
 
 def _given(problem: Problem, compact: NDArray[np.int32], narrow: type) -> NDArray:
@@ -413,8 +378,7 @@ def _ranked(
 
 # A resumed mission as the compiled simulator's first state (`planner.plan.state`). Plain Python, once per thread.
 
-DOINGS = {"idle": IDLE, "traveling": TRAVELING, "covering": COVERING, "done": DONE, "dead": DEAD}
-DOINGS |= {"returning": RETURNING}
+DOINGS = {doing.name.lower(): int(doing) for doing in Doing}
 
 
 def write_mission_state(mission: MissionState, state: State, tables: Tables, cells: NDArray[np.int64]) -> None:
@@ -431,8 +395,15 @@ def write_mission_state(mission: MissionState, state: State, tables: Tables, cel
         state.known[np.searchsorted(cells, mission.visited)] &= ~np.uint8(OUT)
     survived = np.searchsorted(cells, mission.survived)
     state.home[survived] |= SURVIVED
-    if len(state.passes):
+    if len(state.passes) and not tables.scores:  # a score has no visit before the state
         state.passes[survived] = 1  # the number of earlier visits is not known
+    # A mission that knows what is delivered; cells closed since are no longer counted.
+    if mission.delivered is not None:
+        for row, kept in zip(
+            state.carried, (*(one.carried for one in mission.robots), mission.delivered), strict=False
+        ):
+            fill(row, np.searchsorted(cells, np.intersect1d(kept, mission.visited)))
+        state.marks["delivered"] = np.bitwise_count(state.carried[-1:]).sum()
     left = np.bincount(state.home[:-1][state.home[:-1] & VISITED == 0] >> AREA_BITS, minlength=len(mission.areas))
     state.areas["left"][: len(left)] = left
     unassigned = [number for number, area in enumerate(mission.areas) if area.state == "unassigned"]
@@ -498,12 +469,9 @@ def first_frames(mission: MissionState, cells: NDArray[np.int64]) -> NDArray[np.
         cells: int64 `[A]`, the accessible cells.
     """
     robots = mission.robots
-    now = [
-        np.searchsorted(cells, [robot.cell for robot in robots]).tolist(),
-        [DOINGS[robot.status] for robot in robots],
-        [robot.area for robot in robots],
-    ]
-    return np.broadcast_to(np.array(now, dtype=np.int32), (mission.step + 1, 3, len(robots)))
+    now = np.array([(robot.cell, DOINGS[robot.status], robot.area) for robot in robots], dtype=np.int32).T
+    now[0] = np.searchsorted(cells, now[0])
+    return np.broadcast_to(now, (mission.step + 1, 3, len(robots)))
 
 
 # The policy of a plan for the simulator, and a user's rule as a compiled function.

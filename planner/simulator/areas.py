@@ -7,36 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .codes import NONE, EventKind
+from .codes import COVERING, NONE, STARTING, TRAVELING, EventKind
 from .jit import kernel, rare_kernel, search, spliced
-from .paths import (
-    cheapest_cell,
-    cheapest_of,
-    entry_of,
-    open_at,
-    row_from,
-    row_if_asked,
-    seek,
-    set_out,
-    walk_back,
-)
+from .paths import cheapest_cell, cheapest_of, entry_of, open_at, row_from, row_if_asked, seek, set_out, walk_back
 from .range_budget import is_within_range
 from .robot_types import hears, moves_until, own, own_level, own_turn
-from .state import (
-    AREA_BITS,
-    COVERING,
-    FAR,
-    ONE,
-    STARTING,
-    TO_DO,
-    TRAVELING,
-    VISITED,
-    WORD,
-    drop,
-    holds,
-    lowest_bit,
-    put,
-)
+from .state import AREA_BITS, FAR, ONE, TO_DO, VISITED, WORD, drop, holds, lowest_bit, put
 
 # The trace of the compiled simulator: `planner.tally` in plain arrays, empty where nothing is traced.
 

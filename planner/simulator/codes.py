@@ -110,3 +110,17 @@ class EventKind(IntEnum):
     """The robot is at base. other: the base."""
     CHARGED = 11
     """The robot is recharged. other: its cell."""
+
+
+# The same numbers for kernels, and further codes of the simulator's functions.
+
+IDLE, TRAVELING, COVERING, DONE, DEAD, FOLLOWING, RETURNING, CHARGING = map(int, Doing)
+LANDING, STARTING = range(len(Doing), len(Doing) + 2)
+"""States of a robot that has not entered its start yet: without an area, and with one."""
+COMPLETE, ALL_ROBOTS_LOST, NO_PROGRESS, STEP_LIMIT, _, NOT_WORTH_THE_RISK, _, _ = map(int, Outcome)
+GROUP_SPLITS, CUT, AREAS_FULL = -2, -3, -4  # none of them is NONE
+"""Why `advance` returns before the end of a run: the group splits; all its mass is below the cut; no room for areas."""
+RESTS, GAINS, MOVES, NO_ROOM = 0, 1, 2, -1
+"""Results of a turn: no move; an area and no move; a move; the area registry is full."""
+ACTS, HIT, PASSED = range(3)
+"""Verdicts: the next robot acts; the robot is lost in the cell that it entered; it survived there."""

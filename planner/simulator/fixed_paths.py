@@ -9,14 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from .areas import ALLOCATED_EVENT, find_next_area, give, has_area, moves_on, note, share, waits
-from .codes import NONE
-from .jit import kernel, rare_kernel
-from .map_belief import is_lost
-from .paths import entry_of, go_on, list_to_do, next_leg, set_out, to_do_in
-from .return_home import cache_path, can_be_cached, charge, may_recharge, start_return, turns
-from .robot_types import drives_back
-from .state import (
-    AREA_BITS,
+from .codes import (
     CHARGING,
     COVERING,
     DONE,
@@ -25,14 +18,18 @@ from .state import (
     LANDING,
     MOVES,
     NO_ROOM,
+    NONE,
     RESTS,
     RETURNING,
     STARTING,
-    SURVIVED,
-    TO_DO,
     TRAVELING,
-    VISITED,
 )
+from .jit import kernel, rare_kernel
+from .map_belief import is_lost
+from .paths import entry_of, go_on, list_to_do, next_leg, set_out, to_do_in
+from .return_home import cache_path, can_be_cached, charge, may_recharge, start_return, turns
+from .robot_types import drives_back
+from .state import AREA_BITS, SURVIVED, TO_DO, VISITED
 
 
 @kernel

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from .areas import SURPRISED_EVENT, close, has_area, note, reopen, room_of
-from .codes import ALWAYS, NEVER, NONE
+from .codes import ALWAYS, COVERING, DEAD, DONE, NEVER, NONE, RETURNING
 from .failure_sampling import own_word, threefry
 from .jit import kernel, rare_kernel
 from .range_budget import find_ways_to_base, moves_home
@@ -19,16 +19,12 @@ from .state import (
     ALARM,
     AREA_BITS,
     BELIEF,
-    COVERING,
-    DEAD,
     DETECTS,
-    DONE,
     ERRS,
     LESS,
     LOOKED,
     MORE,
     OUT,
-    RETURNING,
     SEEN,
     SILENCE,
     SURVIVED,

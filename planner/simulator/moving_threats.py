@@ -8,19 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from .codes import ACTS, DEAD, GROUP_SPLITS, HIT
 from .failure_sampling import split_ids, threefry
 from .jit import kernel, rare_kernel
-from .state import (
-    ACTS,
-    DEAD,
-    GROUP_SPLITS,
-    HIT,
-    HITS,
-    ROUTE,
-    ROUTE_LENGTH,
-    STAYS,
-    holds,
-)
+from .state import HITS, ROUTE, ROUTE_LENGTH, STAYS, holds
 
 
 @kernel

@@ -5,25 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from .areas import any_to_share, costs_from, has_area, is_within, make_lowest, may_be_shared
-from .codes import NONE
+from .codes import IDLE, NONE, RETURNING
 from .jit import kernel, rare_kernel, search
 from .offers import Offer, is_dangerous, price
 from .paths import one_cell, row_from, seek, set_out
 from .policy import is_before, is_danger, offer_of, refuses
 from .range_budget import is_within_range, moves_home
 from .robot_types import hears, moves_until, own, own_level
-from .state import (
-    AREA_BITS,
-    FAR,
-    IDLE,
-    ONE,
-    RETURNING,
-    TO_DO,
-    VISITED,
-    WORD,
-    holds,
-    lowest_bit,
-)
+from .state import AREA_BITS, FAR, ONE, TO_DO, VISITED, WORD, holds, lowest_bit
 
 
 @kernel

@@ -13,15 +13,7 @@ from .codes import NO_CELL, NONE
 from .jit import kernel, rare_kernel, search, threaded
 from .robot_types import own
 from .searches import TOO_FAR, UNREACHED, SafeParts, danger_ahead, far_search, pop, push
-from .state import (
-    AREA_BITS,
-    FAR,
-    RANKED,
-    SURVIVED,
-    TO_DO,
-    VISITED,
-    holds,
-)
+from .state import AREA_BITS, FAR, RANKED, SURVIVED, TO_DO, VISITED, holds
 
 BLOCK = 32
 """Sources whose first hops are written at a time: by target, so that each cache line is fetched once."""

@@ -11,18 +11,11 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from .codes import DEAD
 from .jit import UNCOUNTED, kernel, rare_kernel
-from .offers import (
-    NO_REFUSAL,
-    Offer,
-    by_cost_and_frontier,
-    by_cost_per_cell,
-    is_dangerous,
-    is_refused,
-    price,
-)
+from .offers import NO_REFUSAL, Offer, by_cost_and_frontier, by_cost_per_cell, is_dangerous, is_refused, price
 from .robot_types import own, own_level
-from .state import DEAD, SEEN, VISITED
+from .state import SEEN, VISITED
 
 for _stated in (price, is_dangerous, is_refused, by_cost_per_cell, by_cost_and_frontier):
     register_jitable(**UNCOUNTED)(_stated)

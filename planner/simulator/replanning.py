@@ -21,7 +21,7 @@ from .areas import (
     share_between,
     waits,
 )
-from .codes import NONE
+from .codes import CHARGING, COVERING, DONE, IDLE, MOVES, NO_ROOM, NONE, RESTS, RETURNING, STARTING, TRAVELING
 from .jit import kernel, rare_kernel
 from .map_belief import is_lost
 from .next_area import first_area, first_of_idle, first_to_share, has_to_wait, head_for, is_full, see
@@ -30,21 +30,7 @@ from .paths import entry_of, go_on, list_to_do, next_leg, set_out
 from .policy import is_danger, offer_of
 from .return_home import charge, may_recharge, start_return, turns
 from .robot_types import drives_back, hears
-from .state import (
-    AREA_BITS,
-    CHARGING,
-    COVERING,
-    DONE,
-    IDLE,
-    MOVES,
-    NO_ROOM,
-    RESTS,
-    RETURNING,
-    STARTING,
-    TRAVELING,
-    VISITED,
-    holds,
-)
+from .state import AREA_BITS, VISITED, holds
 
 
 @kernel

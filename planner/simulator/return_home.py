@@ -15,22 +15,12 @@ from .areas import (
     note,
     replace,
 )
-from .codes import NONE
+from .codes import CHARGING, DEAD, DONE, NONE, RETURNING
 from .jit import kernel, rare_kernel
 from .paths import adjacent, look_up_nearest, seek, to_do_in, to_do_of, walk_back
 from .range_budget import can_go_on, moves_home, own_moves
 from .robot_types import own_turn
-from .state import (
-    CHARGING,
-    DEAD,
-    DONE,
-    FAR,
-    RETURNING,
-    TO_DO,
-    drop,
-    holds,
-    put,
-)
+from .state import FAR, ONE, TO_DO, drop, holds, put
 
 
 @rare_kernel
@@ -64,17 +54,31 @@ def end_range(t, s, w, log, robot):
 
 @rare_kernel
 def turns(t, s, robot, step):
-    """Whether the robot, before its move in this step, starts its return: 1; for a recharge: 2; else 0."""
+    """Whether the robot, before its move in this step, starts its return: 1; to go on afterwards: 2; else 0."""
     now = own_turn(t, robot, step)
     own = s.robots[robot].until - now
     if can_go_on(t, s, robot, min(own, own_turn(t, robot, t.last_step) - now)):
-        return 0
+        # Without a way to base it would never go on.
+        away = t.deliver_every > 0 and moves_home(t, robot, np.int64(s.robots[robot].cell)) > 0
+        return 2 if away and load(s.carried[robot], s.carried[len(s.robots)]) >= t.deliver_every else 0
     return 2 if t.recharge > 0 and own + 1 < t.range[robot] and not can_go_on(t, s, robot, own) else 1
 
 
 @kernel
+def load(carried, delivered):
+    """The number of cells of a set that are not in the other."""
+    count = 0
+    for word in range(len(carried)):
+        left = carried[word] & ~delivered[word]
+        while left != 0:
+            left &= left - ONE
+            count += 1
+    return count
+
+
+@kernel
 def arrive(t, s, log, robot):
-    """The robot is at base, for good or until it is recharged."""
+    """The robot is at base, for good or to go on, possibly recharged."""
     note(log, s, robot, HOME_EVENT, np.int64(NONE), np.int64(s.robots[robot].cell))
     drop(s.movers, robot)
     s.robots[robot].doing = DONE
@@ -85,10 +89,12 @@ def arrive(t, s, log, robot):
 
 @kernel
 def charge(t, s, log, robot, step):
-    """One step at the base; whether the robot is recharged and may move from the next step on."""
+    """One step at the base; whether the robot may move from the next step on, recharged if it can be."""
     if step < s.robots[robot].ready:
         return False
-    s.robots[robot].ready, s.robots[robot].until = 0, t.range[robot] + own_turn(t, robot, step)
+    s.robots[robot].ready = 0
+    if t.recharge > 0:
+        s.robots[robot].until = t.range[robot] + own_turn(t, robot, step)
     note(log, s, robot, CHARGED_EVENT, np.int64(NONE), np.int64(s.robots[robot].cell))
     return True
 
@@ -109,8 +115,7 @@ def start_return(t, s, w, log, robot, charges):
     while moves_home(t, robot, base) > 0:
         base = np.int64(onward[base])
     note(log, s, robot, TURNED_HOME_EVENT, area if owns else np.int64(NONE), base)
-    if holds(s.waiting, robot):
-        s.robots[robot].until += own_turn(t, robot, s.marks.step)  # a turn again: it moves from the next step on
+    waited = holds(s.waiting, robot)
     drop(s.movers, robot)
     drop(s.waiting, robot)
     me.doing, me.held = DONE, 0
@@ -122,6 +127,8 @@ def start_return(t, s, w, log, robot, charges):
     elif base != cell:
         me.doing, me.next = RETURNING, onward[cell]
         put(s.movers, robot)
+    if waited and holds(s.movers, robot):
+        s.robots[robot].until += own_turn(t, robot, s.marks.step)  # a turn again: it moves from the next step on
     return True
 
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from .codes import DEAD
 from .jit import kernel, rare_kernel
-from .state import DEAD, holds, put
+from .state import holds, put
 
 
 @kernel

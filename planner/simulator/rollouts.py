@@ -15,22 +15,10 @@ from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.extending import intrinsic, overload
 
-from .codes import NONE
+from .codes import AREAS_FULL, CUT, GROUP_SPLITS, HIT, NONE, PASSED
 from .jit import kernel, program, rare_kernel, spliced
 from .map_belief import adopt_map
-from .state import (
-    AREAS_FULL,
-    CUT,
-    GROUP_SPLITS,
-    HIT,
-    MOST_PASSES,
-    NOWHERE_LEVEL,
-    OUT,
-    PASSED,
-    VISITED,
-    WORD,
-    State,
-)
+from .state import MOST_PASSES, NOWHERE_LEVEL, OUT, VISITED, WORD, State
 from .step import advance
 from .struct_pointers import flat, hand
 from .visits import count_scores
@@ -64,7 +52,7 @@ def level_of(stack, level):
         stack.movers[level], stack.waiting[level], stack.open[level], stack.lowest[level],
         stack.passes[level], stack.legs[level], stack.spent[level], stack.entered[level], stack.heard[level],
         stack.near[level], stack.entry[level], stack.level[level], stack.known[level], stack.fate[level],
-        stack.mind[level], stack.odds[level],
+        stack.mind[level], stack.odds[level], stack.carried[level],
     )  # fmt: skip
 
 
@@ -94,6 +82,8 @@ def copy_state(t, of, to):
     copy_row(of.spent, to.spent, len(of.spent))
     copy_row(of.passes, to.passes, len(of.passes))
     copy_row(of.entered, to.entered, len(of.entered))
+    if t.returns:
+        copy_row(flat(of.carried), flat(to.carried), len(of.carried) * of.carried.shape[1])
     if t.learns:
         copy_mind(of, to)
 
@@ -145,6 +135,8 @@ def count_group(t, s, c, ids, singles, outcome):
     c.outcomes[outcome] += size
     if len(c.home) > 0:
         c.home[marks.at_home] += size
+    if len(c.delivered) > 0:
+        c.delivered[marks.delivered] += size
     c.histories[0] += 1
     if t.scores:
         count_scores(s, c, covered, size)
@@ -155,6 +147,7 @@ def count_group(t, s, c, ids, singles, outcome):
             single = singles.numbers[ids[place] - singles.start]
             single[0], single[1], single[2], single[3] = covered, safely, marks.step, marks.alive
             single[4], single[5], single[6], single[7] = outcome, marks.bisected, marks.divided, marks.at_home
+            single[8] = marks.delivered
 
 
 @kernel

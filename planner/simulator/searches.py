@@ -503,11 +503,7 @@ def safest_paths(shape: tuple[int, int], costs: NDArray[np.int64]) -> SafestPath
 
 
 def coverage_path(
-    paths: SafestPaths,
-    here: int,
-    to_do: NDArray[np.int64],
-    inside: NDArray[np.bool_] | None,
-    sides: NDArray[np.int64],
+    paths: SafestPaths, here: int, to_do: NDArray[np.int64], inside: NDArray[np.bool_] | None, sides: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """The cells entered, in order, to visit every cell of `to_do` from `here` (excluded).
 

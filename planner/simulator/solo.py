@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from .codes import NONE
+from .codes import COVERING, FOLLOWING, NONE, TRAVELING
 from .failure_sampling import fresh
 from .jit import kernel
 from .paths import adjacent, go_on, next_leg, set_out_far, to_do_in
 from .replanning import is_news, notices
 from .robot_types import own
-from .state import AREA_BITS, COVERING, FOLLOWING, ONE, SURVIVED, TO_DO, TRAVELING, VISITED, lowest_bit
+from .state import AREA_BITS, ONE, SURVIVED, TO_DO, VISITED, lowest_bit
 from .visits import count_new
 
 

@@ -15,7 +15,7 @@ from numba import types
 from numba.extending import intrinsic, overload
 from numpy.typing import DTypeLike, NDArray
 
-from .codes import NONE, Doing, Outcome
+from .codes import FOLLOWING, LANDING, NONE, STARTING, Outcome
 from .jit import kernel
 from .thresholds import LEAST
 
@@ -100,12 +100,6 @@ def holds(bits, member):
     return bits[member >> 6] >> np.uint64(member & 63) & ONE != 0
 
 
-IDLE, TRAVELING, COVERING, DONE, DEAD, FOLLOWING, RETURNING, CHARGING = map(int, Doing)
-LANDING, STARTING = range(len(Doing), len(Doing) + 2)
-"""States of a robot that has not entered its start yet: without an area, and with one."""
-COMPLETE, ALL_ROBOTS_LOST, NO_PROGRESS, STEP_LIMIT, _, NOT_WORTH_THE_RISK, _, _ = map(int, Outcome)
-GROUP_SPLITS, CUT, AREAS_FULL = -2, -3, -4  # none of them is NONE
-"""Why `advance` returns before the end of a run: the group splits; all its mass is below the cut; no room for areas."""
 FAR = 2**63 - 1
 NO_LEVEL = 2**31 - 1
 """The level of `State.lowest` if no area is unassigned."""
@@ -125,6 +119,9 @@ MOST_PASSES = 8
 (`analysis.evaluation.outputs.value`)."""
 MOST_COUNTED = 2**16 - 1
 """Survived visits of a cell that a state counts."""
+STAYS, HITS, ROUTE, ROUTE_LENGTH, MOVER_WORDS = range(5)
+"""Columns of `Tables.movers`: chances, of 2**24, that a walking threat stays and that it destroys a robot it meets; the
+begin of its route in `routes`; cells of the route, 0: it walks at random."""
 
 
 class Tables(NamedTuple):
@@ -147,9 +144,10 @@ class Tables(NamedTuple):
             `kind_begin` `[C]` counts the cells of the kinds before it; both int64. All empty where there are tables.
         nearby: cells that a search passes before the long-range search takes over. wide: as in `SafeParts`. patience:
             searches from a cell before its costs to all cells are kept. goal: cells that count. last_step: step by
-            which robots that return to base have to be there. recharge: steps of a recharge, 0: none. quiet_steps:
-            steps in a row without progress after which a run ends, unless a phase is announced for later. last_update:
-            the step of the last announced phase, 0: none.
+            which robots that return to base have to be there. recharge: steps of a recharge, 0: none. deliver_every:
+            cells to deliver with which a robot returns and goes on, 0: none. quiet_steps: steps in a row without
+            progress after which a run ends, unless a phase is announced for later. last_update: the step of the last
+            announced phase, 0: none.
         truths: int16 `[M, A]`, level of each cell in each candidate of the true map, NONE for an obstacle; of online
             missions. belief: int16 `[A]`, the prior map. price: int64 `[L]`, cost of entering a cell of each level.
             in_view: like near, the cells within sensor range of each cell, from `view_begin` int64 `[A + 1]` on
@@ -209,6 +207,7 @@ class Tables(NamedTuple):
     bound: NDArray
     exposure: NDArray
     chance: NDArray
+    doses: NDArray
     starts: NDArray
     range: NDArray
     order: NDArray
@@ -222,47 +221,47 @@ class Tables(NamedTuple):
     kind: NDArray
     kind_cost: NDArray
     kind_begin: NDArray
-    own_counter: NDArray
-    there: NDArray
-    column: NDArray
-    spent: NDArray
-    doses: NDArray
     given: NDArray
     length: NDArray
-    truths: NDArray
-    belief: NDArray
-    price: NDArray
-    view_begin: NDArray
     in_view: NDArray
-    odds: NDArray
-    survival: NDArray
-    step: NDArray
-    lessons: NDArray
-    phases: NDArray
-    nodes: NDArray
-    times: NDArray
-    begun: NDArray
-    movers: NDArray
-    routes: NDArray
-    type_of: NDArray
-    own_level: NDArray
-    pace: NDArray
-    ticks: NDArray
-    clock: NDArray
-    place: NDArray
-    bases: NDArray
-    reach: NDArray
-    home_of: NDArray
-    home_bases: NDArray
-    home_steps: NDArray
-    home_cost: NDArray
     onward: NDArray
+    own_counter: NDArray = np.zeros(0, np.uint32)
+    there: NDArray = np.zeros(0, np.uint32)
+    column: NDArray = np.zeros(0, np.int32)
+    spent: NDArray = np.zeros(0, np.uint64)
+    truths: NDArray = np.zeros((0, 0), np.int16)
+    belief: NDArray = np.zeros(0, np.int16)
+    price: NDArray = np.zeros(0, np.int64)
+    view_begin: NDArray = np.zeros(0, np.int64)
+    odds: NDArray = np.zeros(0, np.int64)
+    survival: NDArray = np.zeros(0, np.int64)
+    step: NDArray = np.zeros(0, np.int64)
+    lessons: NDArray = np.zeros(0, np.int64)
+    phases: NDArray = np.zeros(0, np.int64)
+    nodes: NDArray = np.zeros(0, np.int64)
+    times: NDArray = np.zeros(0, np.int64)
+    begun: NDArray = np.zeros(0, np.int64)
+    movers: NDArray = np.zeros((0, MOVER_WORDS), np.int64)
+    routes: NDArray = np.zeros(0, np.int64)
+    type_of: NDArray = np.zeros(0, np.int64)
+    own_level: NDArray = np.zeros((0, 0), np.int64)
+    pace: NDArray = np.zeros(0, np.int64)
+    ticks: NDArray = np.zeros(0, np.int64)
+    clock: NDArray = np.zeros((0, 0), np.uint64)
+    place: NDArray = np.zeros((0, 2), np.int64)
+    bases: NDArray = np.zeros((0, 2), np.int64)
+    reach: NDArray = np.zeros(0, np.int64)
+    home_of: NDArray = np.zeros(0, np.int64)
+    home_bases: NDArray = np.zeros((0, 0), np.bool_)
+    home_steps: NDArray = np.zeros((0, 0), np.int32)
+    home_cost: NDArray = np.zeros((0, 0), np.int64)
     nearby: int = 0
     wide: int = 0
     patience: int = 0
     goal: int = 0
     last_step: int = 0
     recharge: int = 0
+    deliver_every: int = 0
     quiet_steps: int = 0
     last_update: int = 0
     follows: bool | None = None
@@ -376,25 +375,19 @@ GROUP = np.dtype(
             "roamed",  # steps in which threats have moved
             "over",  # 0, or the outcome plus 1 once all robots return to base
             "at_home",  # robots at base at the end
+            "delivered",  # cells delivered
             "now",  # 1 while a robot decides that moves in the same step
             "unlimited",  # 1 while areas out of a robot's range may be chosen
         )
     ],
     align=True,
 )
-STAYS, HITS, ROUTE, ROUTE_LENGTH, MOVER_WORDS = range(5)
-"""Columns of `Tables.movers`: chances, of 2**24, that a walking threat stays and that it destroys a robot it meets; the
-begin of its route in `routes`; cells of the route, 0: it walks at random."""
 AT_STOP, MORE, LESS, ALARM, SILENCE, DETECTS, ERRS, LESSONS = range(8)
 """`Tables.lessons`: log odds after a loss; classes above and below the first; with a detector the log odds that an
 alarm adds and silence subtracts, and the alarms of 2**24 readings at a hazard and elsewhere; else 0."""
 SEEN, LOOKED, OUT = 1, 2, 4
 TRUTH, BELIEF, MIND = range(3)
 """`State.mind`: index of the true map; index of the team's map, to which cached rows of costs belong."""
-RESTS, GAINS, MOVES, NO_ROOM = 0, 1, 2, -1
-"""Results of a turn: no move; an area and no move; a move; the area registry is full."""
-ACTS, HIT, PASSED = range(3)
-"""Verdicts: the next robot acts; the robot is lost in the cell that it entered; it survived there."""
 WORD = 64
 
 
@@ -418,6 +411,8 @@ class State(NamedTuple):
         near, entry, level: like `Tables.near`, `entry` and `truths[m]`, as the team's map has them. known: uint8 `[A]`,
             flags: SEEN by a sensor, LOOKED from, OUT of every area and not visited. fate: like home `[room]`, scratch.
             mind: int64 `[MIND]`. All empty for a known map. odds: like `Tables.odds`, updated.
+        carried: uint64 `[K + 1, A / 64]`, bits of the cells that each robot has visited since it was last at a base;
+            the last row: cells delivered. Without rows where robots do not return, or a resumed mission does not know.
     """
 
     home: NDArray
@@ -441,6 +436,7 @@ class State(NamedTuple):
     fate: NDArray
     mind: NDArray
     odds: NDArray
+    carried: NDArray
 
 
 class Work(NamedTuple):
@@ -522,6 +518,7 @@ class Counts(NamedTuple):
         left_visited, left_survived, left_alive: like these, the mass of a tree's branches that were left.
         histories: `[3]`, ends of a tree, branches left, visits at which it may split. Zeros unless for trees.
         home: `[K + 1]`, rollouts by robots at base at the end; empty where robots do not return.
+        delivered, left_delivered: like visited, by cells delivered; empty where these are not counted.
         passes: `[A, MOST_PASSES]`, rollouts with at least 1, 2, ... survived visits of the cell; no rows: not counted.
             With `Tables.scores`: float64 `[A, 2]`, sums over rollouts of the cells covered times the robots lost in the
             cell, and times its survived visits. For rollouts they are integers, exact below 2**53.
@@ -543,6 +540,8 @@ class Counts(NamedTuple):
     left_alive: NDArray
     histories: NDArray
     home: NDArray
+    delivered: NDArray
+    left_delivered: NDArray
     passes: NDArray
 
 
@@ -567,15 +566,16 @@ REMEMBERED, MOST_PATHS = 2**24, 2**16
 """Most words of `Work.paths`, 64 MB, and most paths that 16 bits can number; a map gets 256 to 512 words for each cell.
 Thousands of words filled: 113 by 4,096 rollouts of the terrain, 98 by 16,384 on 64x64 with 25 % of threats, 168 by
 262,144 on 20x20."""
-SINGLES = 8
-"""Numbers kept of a single rollout: visited, survived, time, alive, outcome, bisected, divided, at home."""
+SINGLES = 9
+"""Numbers kept of a single rollout: visited, survived, time, alive, outcome, bisected, divided, at home, delivered."""
 ROWS_BYTES = 2**28
 """Approximate limit on the rows of costs of one thread; there are always two."""
 
 
 def make_counts(
-    cells: int, goal: int, robots: int, steps: int, passes: bool = False, home: bool = False, scores: bool = False
-) -> Counts:
+    cells: int, goal: int, robots: int, steps: int, passes: bool = False, home: bool = False, scores: bool = False,
+    delivers: bool = False,
+) -> Counts:  # fmt: skip
     """Empty counts.
 
     Args:
@@ -586,9 +586,11 @@ def make_counts(
         passes: whether survived visits are counted.
         home: whether robots at base are.
         scores: whether the sums of `Tables.scores` are.
+        delivers: whether cells delivered are.
     """
     figures = (goal + 1, goal + 1, robots + 1)
     sizes = (*[cells] * 4, *[steps + 1] * 3, *figures, len(Outcome), *figures, 3, home * (robots + 1))
+    sizes += 2 * (delivers * (goal + 1),)
     by_cell = np.zeros((cells, 2)) if scores else np.zeros((cells if passes else 0, MOST_PASSES), dtype=np.int64)
     return Counts(*[*(np.zeros(size, dtype=np.int64) for size in sizes), by_cell])
 
@@ -631,7 +633,7 @@ def first_state(tables: Tables, room: int, passes: bool = False) -> State:
 
 
 def _first_mind(tables: Tables, room: int, kind: DTypeLike) -> Iterator[NDArray]:
-    """The prior map of an online mission: the last fields of a `State`."""
+    """The last fields of a `State`: the prior map of an online mission, and the cells carried."""
     learning, size = bool(len(tables.truths)), len(tables.belief)
     free = np.append(tables.belief >= 0, False)
     near = tables.near[:size]
@@ -644,6 +646,8 @@ def _first_mind(tables: Tables, room: int, kind: DTypeLike) -> Iterator[NDArray]
     yield np.zeros(room if learning else 0, dtype=kind)
     yield np.zeros(MIND if learning else 0, dtype=np.int64)
     yield tables.odds.copy()
+    rows = len(tables.starts) + 1 if len(tables.home_cost) else 0
+    yield np.zeros((rows, -(-len(tables.near) // WORD)), dtype=np.uint64)
 
 
 def make_state(first: State, levels: int) -> State:

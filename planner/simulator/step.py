@@ -16,16 +16,7 @@ import numpy as np
 
 from . import fixed_paths, replanning
 from .areas import compare_again, has_area, note_leg, write_frame
-from .codes import NONE
-from .jit import kernel, rare_kernel
-from .map_belief import clear_changes, recall, revise, update_belief, update_map
-from .moving_threats import has_entered, is_meeting, meet
-from .next_area import could_go_on
-from .replanning import begin, is_news
-from .return_home import count_at_base, end_range, is_away, move_to_base, start_returns, stay
-from .robot_types import came_back, on_turn, own_turn
-from .solo import only_mover, walk_alone
-from .state import (
+from .codes import (
     ACTS,
     ALL_ROBOTS_LOST,
     AREAS_FULL,
@@ -36,16 +27,22 @@ from .state import (
     MOVES,
     NO_PROGRESS,
     NO_ROOM,
+    NONE,
     NOT_WORTH_THE_RISK,
-    ONE,
     PASSED,
     RESTS,
     RETURNING,
     STEP_LIMIT,
-    TO_DO,
-    WORD,
-    lowest_bit,
 )
+from .jit import kernel, rare_kernel
+from .map_belief import clear_changes, recall, revise, update_belief, update_map
+from .moving_threats import has_entered, is_meeting, meet
+from .next_area import could_go_on
+from .replanning import begin, is_news
+from .return_home import count_at_base, end_range, is_away, move_to_base, start_returns, stay
+from .robot_types import came_back, on_turn, own_turn
+from .solo import only_mover, walk_alone
+from .state import ONE, TO_DO, WORD, lowest_bit
 from .visits import enter, is_complete, lose, survive
 
 
@@ -119,7 +116,7 @@ def advance(t, p, s, c, w, log, how, ids):
         if verdict == PASSED:
             verdict = ACTS
             if not t.moving:  # else it survives at the end of the step
-                survive(s, c, cell)
+                survive(t, s, c, robot, cell)
                 if t.estimates:
                     update_belief(t, s, cell)
         if p is None:
@@ -192,7 +189,7 @@ def encounter(t, s, c, w, how, ids):
     if verdict == ACTS:
         for robot in range(len(s.robots)):
             if has_entered(s, robot):
-                survive(s, c, s.robots[robot].cell)
+                survive(t, s, c, robot, s.robots[robot].cell)
         s.entered[:] = np.uint64(0)
     return verdict
 

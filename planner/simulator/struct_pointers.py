@@ -23,10 +23,7 @@ from numpy.typing import NDArray
 from .jit import INTERPRETED
 from .state import State, Tables
 
-LENGTHS = {
-    (Tables, "near"): 4,
-    (State, "near"): 4,
-}
+LENGTHS = {(Tables, "near"): 4, (State, "near"): 4}
 """Row lengths of matrices, where they are constant: a row is found without loading the matrix's shape."""
 
 

@@ -5,31 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from .areas import COMPLETED_EVENT, HIT_EVENT, close, has_area, note
-from .codes import NONE
+from .codes import ACTS, ALL_ROBOTS_LOST, COMPLETE, CUT, DEAD, FOLLOWING, GROUP_SPLITS, HIT, NONE, PASSED
 from .failure_sampling import first_lost
 from .jit import kernel, rare_kernel
 from .map_belief import visit_of
 from .return_home import leave
-from .state import (
-    ACTS,
-    ALL_ROBOTS_LOST,
-    AREA_BITS,
-    AT_STOP,
-    COMPLETE,
-    CUT,
-    DEAD,
-    FAR,
-    FOLLOWING,
-    GROUP_SPLITS,
-    HIT,
-    MOST_COUNTED,
-    PASSED,
-    SURVIVED,
-    VISITED,
-    drop,
-    holds,
-    put,
-)
+from .state import AREA_BITS, AT_STOP, FAR, MOST_COUNTED, ONE, SURVIVED, VISITED, drop, holds, put
 
 
 @kernel
@@ -63,6 +44,25 @@ def count_pass(s, cell):
 
 
 @kernel
+def deliver(t, s, robot, cell):
+    """Deliver the cells that the robot has visited, if the cell, which it has survived, is one of its bases."""
+    if t.returns and len(s.carried) > 0 and t.home_bases[t.home_of[robot], cell]:
+        unload(s, s.carried[robot], s.carried[len(s.robots)])
+
+
+@rare_kernel
+def unload(s, carried, delivered):
+    """Move cells from one set to another, counting those that it lacks."""
+    for word in range(len(carried)):
+        new = carried[word] & ~delivered[word]
+        carried[word] = np.uint64(0)
+        delivered[word] |= new
+        while new != 0:  # each cell is delivered once
+            new &= new - ONE
+            s.marks.delivered += 1
+
+
+@kernel
 def is_complete(t, s):
     """Whether every cell that is reachable on the true map is visited."""
     return s.marks.covered == t.goal if t.learns else s.marks.unfinished == 0
@@ -92,6 +92,8 @@ def count_last(t, s, c, cell, mass):
     c.alive[0] += mass
     if len(c.home) > 0:
         c.home[0] += mass
+    if len(c.delivered) > 0:
+        c.delivered[marks.delivered] += mass
     c.outcomes[COMPLETE if is_complete(t, s) else ALL_ROBOTS_LOST] += mass
 
 
@@ -101,6 +103,8 @@ def leave_branch(s, c, mass, alive):
     c.left_visited[s.marks.covered] += mass
     c.left_survived[s.marks.covered - s.marks.unsurvived] += mass
     c.left_alive[alive] += mass
+    if len(c.left_delivered) > 0:
+        c.left_delivered[s.marks.delivered] += mass
     c.histories[1] += 1
 
 
@@ -153,8 +157,11 @@ def enter(t, s, c, w, log, how, ids, robot, cell):
     # Where threats change, a robot may have been lost earlier in a cell that is safe by now.
     verdict = ACTS if safe and not t.phased else PASSED
     survives = verdict == ACTS and not t.moving
+    if t.returns and len(s.carried) > 0:
+        put(s.carried[robot], cell)
     if survives:
         count_pass(s, cell)
+        deliver(t, s, robot, cell)
     elif t.moving:
         put(s.entered, robot)
     if fresh:
@@ -223,8 +230,9 @@ def mark_survived(s, c, cell):
 
 
 @kernel
-def survive(s, c, cell):
-    """Count that a robot entered a dangerous cell and survived."""
+def survive(t, s, c, robot, cell):
+    """Count that the robot entered a dangerous cell and survived."""
     count_pass(s, cell)
+    deliver(t, s, robot, cell)
     if s.home[cell] & SURVIVED == 0:
         mark_survived(s, c, cell)

@@ -64,7 +64,9 @@ class Key:
         try:
             yield
         except WorldError as error:
-            problem = f"`{self.path}`: {error.problem}"
+            # Builders that read keys name them already.
+            named = error.problem.startswith(f"`{self.path}")
+            problem = error.problem if named else f"`{self.path}`: {error.problem}"
             raise self.error(problem, source=self.source, expected=error.expected, fix=error.fix) from error
 
     def mapping(

@@ -211,26 +211,6 @@ def make_knowledge(belief: NDArray[np.float32], truth: NDArray[np.float32], sens
     return Knowledge(truth, sense)
 
 
-def knowledge_in(arrays: Mapping[str, NDArray], belief: NDArray[np.float32], source: str) -> Knowledge | None:
-    """The true map in the arrays of a world file, or None; its probabilities are checked before.
-
-    Args:
-        arrays: of the file.
-        belief: float32 `[H, W]`, its threats.
-        source: for messages.
-
-    Raises:
-        WorldError: it is invalid.
-    """
-    if "truth" not in arrays:
-        return None
-    said = arrays.get("sense", np.zeros(2))
-    if said.shape != (2,) or said.dtype.kind != "f" or said[1] not in (0, 1):
-        raise WorldError("sense is no pair", source=source, expected="[range, 0 or 1]")
-    sense = make_sense({"range": float(said[0]), "sight": bool(said[1])}, source)
-    return make_knowledge(belief, arrays["truth"], sense, source)
-
-
 # Hazard estimates from losses, survived visits and detectors: log odds, added up in whole numbers.
 #
 # Bayes' rule, cell by cell: hazards are independent of each other (SPEC section 15). Axis `N` = H * W.
@@ -299,23 +279,6 @@ def make_detector(given: object, source: str) -> Detector:
         problem = f"a detector with range {sense.range:g}, detect {detect:g}, false_alarm {false_alarm:g} has no effect"
         raise WorldError(problem, source=source, expected="a range of 1 or more, and more alarms where a hazard is")
     return Detector(sense, float(detect), float(false_alarm))
-
-
-def detector_in(arrays: Mapping[str, NDArray], source: str) -> Detector | None:
-    """The detector in the arrays of a world file, or None.
-
-    Raises:
-        WorldError: it is invalid.
-    """
-    if "hazard_detector" not in arrays:
-        return None
-    said = arrays["hazard_detector"]
-    if said.shape != (4,) or said.dtype.kind != "f" or said[1] not in (0, 1):
-        raise WorldError(
-            "hazard_detector is no detector", source=source, expected="[range, 0 or 1, detect, false_alarm]"
-        )
-    numbers = {"range": float(said[0]), "detect": float(said[2]), "false_alarm": float(said[3])}
-    return make_detector(numbers | {"sight": bool(said[1])}, source)
 
 
 @dataclass(frozen=True, eq=False)

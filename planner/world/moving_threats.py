@@ -7,16 +7,16 @@ do not depend on robots. Axis letters: `M` moving threats, `N` = H * W cells.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from planner.arguments import MAX_STEP, is_whole, whole
+from planner.arguments import whole
 from planner.errors import WorldError
 from planner.formatting import counted
 from planner.world.keys import CHANCE, PLACE, Key, first_of
@@ -65,6 +65,7 @@ class MovingThreats:
     own: NDArray[np.float32]
     members: tuple[MovingThreat, ...]
     by_default: bool = False
+    key: ClassVar[str] = "moving_threats"
 
     @property
     def description(self) -> str:
@@ -164,74 +165,36 @@ class MovingThreats:
         )
 
 
-def moving_threats_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source: str) -> MovingThreats | None:
-    """The moving threats in the arrays of a world file, or None.
-
-    Raises:
-        WorldError: they are invalid.
-    """
-    if "movers_own" not in arrays:
-        return None
-    free, own = ~np.isnan(threat), arrays["movers_own"]
-    kinds = {"hit": "f", "stay": "f", "start": "i", "length": "i", "routes": "i"}
-    given = {name: arrays.get(f"movers_{name}", np.zeros((0, 0))) for name in kinds}
-    flat = all(one.ndim == 1 and one.dtype.kind == kinds[name] for name, one in given.items())
-    alike = flat and len({len(given[name]) for name in ("hit", "stay", "start", "length")}) == 1
-    fits = own.dtype == np.float32 and own.shape == free.shape and np.array_equal(np.isnan(own), ~free)
-    lengths = given["length"]
-    if not alike or not fits or (lengths < 0).any() or int(lengths.sum()) != len(given["routes"]):
-        raise WorldError("movers_* do not fit the map", source=source, expected="arrays as World.save writes them")
-    routes = np.split(given["routes"].astype(np.int64), np.cumsum(lengths)[:-1])
-    hits, stays, starts = (given[name].tolist() for name in ("hit", "stay", "start"))
-    ways = (tuple(route.tolist()) for route in routes)
-    members = tuple(map(MovingThreat, hits, stays, starts, ways))
-    return checked(MovingThreats(own, members), source)
+def moving_threats_in(arrays: Mapping[str, NDArray]) -> list[MovingThreat]:
+    """The moving threats in the arrays of a world file, not yet checked."""
+    routes = np.split(arrays["movers_routes"], np.cumsum(arrays["movers_length"])[:-1])
+    if list(map(len, routes)) != arrays["movers_length"].tolist():
+        raise ValueError("movers_length does not add up to movers_routes")
+    each = zip(*(arrays[f"movers_{name}"].tolist() for name in ("hit", "stay", "start")), routes, strict=True)
+    return [MovingThreat(hit, stay, start, tuple(route.tolist())) for hit, stay, start, route in each]
 
 
-def checked(movers: MovingThreats, source: str, *, named: bool = True) -> MovingThreats:
-    """The same moving threats, checked.
-
-    Args:
-        movers: to check.
-        source: for messages.
-        named: whether errors name the number of the moving threat.
-
-    Raises:
-        WorldError: one of them is invalid.
-    """
-    if not 0 < len(movers.members) <= MOST_MOVERS:
-        expected = f"1 to {MOST_MOVERS}"
-        raise WorldError(counted(len(movers.members), "moving threat"), source=source, expected=expected)
-    for number, mover in enumerate(movers.members):
-        name = f"moving_threats[{number}]"
-        for chance, value in (("h", mover.hit), ("walk", mover.stay)):
-            CHANCE.check(f"{name}.{chance}", value, WorldError, source)
-        problem = _misplaced(movers, mover)
-        if problem:
-            raise WorldError(f"{name}: {problem[0]}" if named else problem[0], source=source, expected=problem[1])
-    return movers
-
-
-def _misplaced(movers: MovingThreats, mover: MovingThreat) -> tuple[str, str] | None:
-    """(problem, expectation) if the position of a moving threat is invalid; else None."""
-    shape, free = movers.own.shape, ~np.isnan(movers.own.ravel())
+def _check(mover: MovingThreat, name: str, threat: NDArray[np.float32], source: str) -> None:
+    """Raise WorldError for a moving threat that cannot be on the map `threat` `[H, W]`."""
+    for chance, value in (("h", mover.hit), ("walk", mover.stay)):
+        CHANCE.check(f"{name}.{chance}", value, WorldError, source)
+    free = ~np.isnan(threat)
 
     def at(cell: int) -> str:
-        return f"[{', '.join(map(str, divmod(cell, shape[1])))}]"
+        return f"[{', '.join(map(str, divmod(cell, threat.shape[1])))}]"
 
-    if mover.patrols:
-        blocked = [cell for cell in mover.route if not (0 <= cell < free.size and free[cell])]
-        if blocked:
-            return f"its route has {at(blocked[0])}, which is no free cell", "free cells"
-        for one, other in zip(mover.route, (*mover.route[1:], mover.route[0]), strict=True):
-            if sum(abs(a - b) for a, b in zip(divmod(one, shape[1]), divmod(other, shape[1]), strict=True)) != 1:
-                return f"its route goes from {at(one)} to {at(other)}", "a closed route of adjacent cells"
-        if mover.start not in (ANYWHERE, *mover.route):
-            return f"it starts at {at(mover.start)}, off its route", "a cell of the route"
-        return None
-    if mover.start != ANYWHERE and not (0 <= mover.start < free.size and free[mover.start]):
-        return f"it starts at {at(mover.start)}, which is no free cell", "a free cell"
-    return None
+    def wrong(problem: str, expected: str) -> WorldError:
+        return WorldError(f"`{name}`: {problem}", source=source, expected=expected)
+
+    for cell in mover.route or {mover.start} - {ANYWHERE}:
+        if not (0 <= cell < free.size and free.flat[cell]):
+            what = f"its route has {at(cell)}" if mover.patrols else f"it starts at {at(cell)}"
+            raise wrong(f"{what}, which is no free cell", "free cells")
+    for one, other in zip(mover.route, (*mover.route[1:], *mover.route[:1]), strict=True):
+        if np.abs(np.subtract(divmod(one, threat.shape[1]), divmod(other, threat.shape[1]))).sum() != 1:
+            raise wrong(f"its route goes from {at(one)} to {at(other)}", "a closed route of adjacent cells")
+    if mover.patrols and mover.start not in (ANYWHERE, *mover.route):
+        raise wrong(f"it starts at {at(mover.start)}, off its route", "a cell of the route")
 
 
 AT, STAYS = "[row, col], whole numbers", "a chance to stay, 0 to 1"
@@ -258,26 +221,25 @@ def make_moving_threats(
     Raises:
         WorldError: one of them is invalid.
     """
-    members: list[MovingThreat] = []
+    named: list[tuple[str, MovingThreat]] = []
     own = threat
     for number, one in enumerate(given):
-        if isinstance(one, MovingThreat):
-            members.append(one)
-            continue
-        key = Key(one, f"moving_threats[{number}]", source, WorldError)
-        if has_threats_of_map(key):
-            members += _walking_threats(key, threat)
+        name = f"moving_threats[{number}]"
+        key = Key(one, name, source, WorldError)
+        if isinstance(one, Mapping) and isinstance(one.get("h"), str):
+            some = _walking_threats(key, threat)
             # The threats move away from their cells, which are safe from then on.
             own = np.where(np.isnan(threat), np.float32(np.nan), np.float32(0))
         else:
-            members += read_moving_threat(key, threat)
+            some = [one] if isinstance(one, MovingThreat) else _repeated(key, threat.shape)
+        named += [(name, mover) for mover in some]
+    if not 0 < len(named) <= MOST_MOVERS:
+        raise WorldError(counted(len(named), "moving threat"), source=source, expected=f"1 to {MOST_MOVERS}")
+    for name, mover in dict.fromkeys(named):
+        _check(mover, name, threat, source)
+    members = tuple(mover for _, mover in named)
     # Without free walkers both defaults give the same map.
-    return checked(MovingThreats(own, tuple(members), by_default and not all(one.patrols for one in members)), source)
-
-
-def has_threats_of_map(key: Key) -> bool:
-    """Whether the entry stands for a walker for each dangerous cell of the map."""
-    return isinstance(key.value, dict) and isinstance(key.value.get("h"), str)
+    return MovingThreats(own, members, by_default and not all(one.patrols for one in members))
 
 
 def _walking_threats(key: Key, threat: NDArray[np.float32]) -> list[MovingThreat]:
@@ -289,24 +251,16 @@ def _walking_threats(key: Key, threat: NDArray[np.float32]) -> list[MovingThreat
     return [MovingThreat(float(p), stay) for p in threat[threat > 0]]
 
 
-def read_moving_threat(key: Key, threat: NDArray[np.float32]) -> list[MovingThreat]:
-    """The moving threat of an entry, repeated `count` times; `threat`: float32 `[H, W]`, p of the map."""
-    keys = key.mapping(("h",), optional=("walk", "patrol", "start", "count"))
+def _repeated(key: Key, shape: tuple[int, ...]) -> list[MovingThreat]:
+    """The moving threat of an entry, repeated `count` times."""
+    keys = key.mapping(("h",), optional=("walk", "patrol"), defaults={"start": "anywhere", "count": 1})
     if ("walk" in keys) == ("patrol" in keys):
         raise key.wrong("either walk or patrol")
-    stay, start = 0.0, ANYWHERE
-    route: tuple[int, ...] = ()
-    if "walk" in keys:
-        stay = keys["walk"].number(CHANCE, STAYS)
-    else:
-        cells = keys["patrol"].items("a list of two cells [row, col] or more", 2)
-        route = tuple(_cell(item, threat.shape) for item in cells)
-    if "start" in keys and keys["start"].value != "anywhere":
-        start = _cell(keys["start"], threat.shape)
-    one = MovingThreat(keys["h"].number(CHANCE), stay, start, route)
-    with key.naming():
-        checked(MovingThreats(threat, (one,)), str(key.source), named=False)
-    return [one] * (keys["count"].number(whole(1, MOST_MOVERS)) if "count" in keys else 1)
+    stay = keys["walk"].number(CHANCE, STAYS) if "walk" in keys else 0.0
+    cells = keys["patrol"].items("a list of two cells [row, col] or more", 2) if "patrol" in keys else ()
+    start = ANYWHERE if keys["start"].value == "anywhere" else _cell(keys["start"], shape)
+    one = MovingThreat(keys["h"].number(CHANCE), stay, start, tuple(_cell(cell, shape) for cell in cells))
+    return [one] * keys["count"].number(whole(1, MOST_MOVERS))
 
 
 def _cell(key: Key, shape: tuple[int, ...]) -> int:
@@ -346,6 +300,7 @@ class Phases:
     begins: NDArray[np.int64]
     threats: NDArray[np.float32]
     plan_on: Foresight = "now"
+    key: ClassVar[str] = "phases"
 
     @property
     def description(self) -> str:
@@ -397,53 +352,3 @@ class Phases:
             "phases_threat": self.threats,
             "phases_plan_on": np.array(self.plan_on),
         }
-
-
-def check_phases(begins: Sequence[Any], threats: NDArray[np.float32], free: NDArray[np.bool_], source: str) -> None:
-    """Check phases.
-
-    Args:
-        begins: steps at which they begin.
-        threats: float32 `[P, H, W]`, maps of worlds.
-        free: bool `[H, W]`, of the map.
-        source: for messages.
-
-    Raises:
-        WorldError: the steps do not increase from 0, or obstacles differ.
-    """
-    if not 0 < len(begins) <= MOST_PHASES:
-        raise WorldError(f"{len(begins)} phases", source=source, expected=f"1 to {MOST_PHASES}")
-    for number, begin in enumerate(begins):
-        name, least = f"phases[{number}]", 0 if number == 0 else int(begins[number - 1]) + 1
-        if not is_whole(begin, least, MAX_STEP):
-            expected = f"a step, {least} to {MAX_STEP}" + ": phases are in order of time" * (number > 0)
-            raise WorldError(f"{name}.from is {begin!r:.40}", source=source, expected=expected)
-        differ = np.isnan(threats[number]) == free
-        if differ.any():
-            row, col = np.argwhere(differ)[0].tolist()
-            problem = f"{name} has {'an obstacle' if free[row, col] else 'none'} at [{row}, {col}]"
-            raise WorldError(problem, source=source, expected="the obstacles of the map: only threats change")
-
-
-def phases_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source: str) -> Phases | None:
-    """The phases in the arrays of a world file, or None.
-
-    Raises:
-        WorldError: they are invalid.
-    """
-    if "phases_threat" not in arrays:
-        return None
-    maps, begins = arrays["phases_threat"], arrays.get("phases_from", np.zeros(0))
-    plan_on = str(arrays.get("phases_plan_on", ""))
-    fits = begins.ndim == 1 and begins.dtype.kind == "i" and maps.shape == (len(begins), *threat.shape)
-    sound = maps.dtype == np.float32 and bool((np.isnan(maps) | ((maps >= 0) & (maps < 1))).all())
-    if not (fits and sound and plan_on in FORESIGHTS and len(begins) and begins[0] == 0):
-        raise WorldError("phases_* do not fit the map", source=source, expected="arrays as World.save writes them")
-    check_phases(begins.tolist(), maps, ~np.isnan(threat), source)
-    found = Phases(begins.astype(np.int64), maps, next(word for word in FORESIGHTS if word == plan_on))
-    # The stored map of the plan has to follow from the phases: else plans and rollouts would disagree.
-    if not np.array_equal(found.planned, threat, equal_nan=True):
-        raise WorldError(
-            "`threat` does not agree with its phases", source=source, expected="arrays as World.save writes them"
-        )
-    return found

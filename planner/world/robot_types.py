@@ -64,8 +64,8 @@ class RobotTypes:
         return {"types": np.array(self.names), "types_threat": self.threat} | team
 
 
-def types_in(arrays: Mapping[str, NDArray], free: NDArray[np.bool_], source: str) -> RobotTypes | None:
-    """The types in the arrays of a world file, or None.
+def types_in(arrays: Mapping[str, NDArray], free: NDArray[np.bool_], source: str) -> RobotTypes:
+    """The types in the arrays of a world file.
 
     Args:
         arrays: of the file.
@@ -75,22 +75,11 @@ def types_in(arrays: Mapping[str, NDArray], free: NDArray[np.bool_], source: str
     Raises:
         WorldError: they are invalid.
     """
-    if "types" not in arrays:
-        return None
-    names, threat = arrays["types"], arrays.get("types_threat")
-    shape = (names.size, *free.shape)
-    if names.ndim != 1 or names.dtype.kind != "U" or len(set(names.tolist())) != names.size or names.size == 0:
-        raise WorldError("types are not names", source=source, expected="the name of each type of robot, once")
-    if threat is None or threat.shape != shape or threat.dtype.kind not in "fiu":
-        raise WorldError("types without their threats", source=source, expected=f"types_threat {shape}")
-    found = checked_types(tuple(names.tolist()), threat.astype(np.float64), free, source)
-    if "types_team" not in arrays:
-        return found
-    team = arrays["types_team"]
-    if team.ndim > 1 or team.size == 0 or not set(team.ravel().tolist()) <= set(found.names):
-        expected = f"a type, or one for each robot, of {', '.join(found.names)}"
-        raise WorldError("types_team are not types of robots", source=source, expected=expected)
-    return replace(found, team=tuple(team.tolist()) if team.ndim else str(team))
+    found = checked_types(tuple(map(str, arrays["types"].tolist())), arrays["types_threat"], free, source)
+    team = arrays.get("types_team", np.array(())).tolist()
+    for name in [team] if isinstance(team, str) else team:
+        found.number(name, source)
+    return replace(found, team=team if isinstance(team, str) else tuple(team))
 
 
 def checked_types(
@@ -107,6 +96,9 @@ def checked_types(
     Raises:
         WorldError: names the first invalid cell.
     """
+    if not names or len({*names} - {""}) != len(names) or threat.shape != (len(names), *free.shape):
+        problem = f"types {list(names)} with threats {list(threat.shape)}"
+        raise WorldError(problem, source=source, expected="names of types, each once, and p [H, W] of each")
     rounded = np.where(free, threat, np.nan).astype(np.float32)
     for name, one in zip(names, rounded, strict=True):
         wrong = free & ~((one >= 0) & (one < 1))

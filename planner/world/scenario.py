@@ -173,7 +173,7 @@ DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 IN_DOUBT = ("latent_hazard", "map_uncertainty", "moving_threats", "phases")
 """Keys of uncertain or changing threats, of which a scenario may have one."""
 SETTINGS = ("levels", "policy", "risk_cap", "robot_value", "plan_for", "weibull_shape", "deadline", "in_area")
-OF_ROBOTS = ("range", "hazard_multiplier", "return_to", "recharge", "types", "steps_per_move", "radio")
+OF_ROBOTS = ("range", "hazard_multiplier", "return_to", "recharge", "deliver_every", "types", "steps_per_move", "radio")
 """Planner settings as keys of a scenario, and those under its key `robots`."""
 OPTIONAL = (
     "cell_size", "datum", "keepout", "robots", *IN_DOUBT, "plan_on", "value", "detect", *KNOWLEDGE,

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from planner.world.grid import Ground
 from planner.world.keys import CHANCE, PROBABILITY, Key, read_yaml
-from planner.world.moving_threats import FORESIGHTS, PLAN_ON, has_threats_of_map, read_moving_threat
+from planner.world.moving_threats import FORESIGHTS, PLAN_ON
 from planner.world.robot_types import COMBINE
 from planner.world.threats import all_threats, raster_threat, raster_values
 from planner.world.uncertain_maps import AMOUNTS, HAZARDS, SHARED, SPREADS
@@ -93,14 +93,9 @@ def read_movers(key: Key, plan_on: Key | None, world: World) -> World:
         ScenarioError: a key is invalid.
     """
     items = key.items("a list of moving threats, each {walk or patrol, h}")
-    members = [
-        one
-        for item in items
-        for one in ([item.value] if has_threats_of_map(item) else read_moving_threat(item, world.threat))
-    ]
     chosen: Any = None if plan_on is None else plan_on.choice(PLAN_ON)
     with key.naming():
-        found = world.with_moving_threats(members, chosen)
+        found = world.with_moving_threats([item.value for item in items], chosen)
     return replace(found, notes=(*found.notes, DEFAULT)) if plan_on is None else found
 
 
@@ -122,9 +117,7 @@ def read_phases(keys: dict[str, Key], world: World, ground: Ground) -> World:
         given = item.mapping(("from", "threats"))
         threat, said, *_ = all_threats(given["threats"].items("a list of sources", least=0), combine, ground, {})
         notes.extend(said)
-        with item.naming():
-            cells = World.create(np.where(ground.free, threat, np.nan), source=world.source)
-        pairs.append((given["from"].value, cells))
+        pairs.append((given["from"].value, np.where(ground.free, threat, np.nan)))
     if pairs[0][0] == 0 and keys["threats"].value:
         fix = "leave `threats` out, or begin later"
         raise keys["phases"].fault("begin at step 0, where `threats` are to hold", fix=fix)
@@ -144,19 +137,14 @@ def read_hazard(key: Key, world: World, ground: Ground) -> World:
     Raises:
         ScenarioError, MapError: a key or file is invalid.
     """
-    keys = key.mapping(("kind",), optional=("q", "h", "learn"))
-    kind = keys["kind"].choice(("independent", *HAZARDS))
-    learn = keys["learn"].value if "learn" in keys else False
+    keys = key.mapping(("kind",), ("q", "h"), {"learn": False})
+    kind, learn = keys["kind"].choice(("independent", *HAZARDS)), keys["learn"].value
     if not isinstance(learn, bool):
         raise keys["learn"].wrong("true or false")
-    named = [name for name in ("q", "h") if name in keys]
     if kind == "independent":
-        if learn:
-            raise keys["learn"].wrong(
-                "false: every visit is an independent draw: nothing can be estimated", "leave it out"
-            )
-        if named:
-            raise keys[named[0]].wrong("none: independent hazards are the `threats` themselves", "leave it out")
+        for name in ("q", "h", "learn"):
+            if name in keys and keys[name].value is not False:
+                raise keys[name].wrong("none: independent hazards are the `threats` themselves", "leave it out")
         return world
     given = {"q": Key(FROM_SOURCES, f"{key.path}.q", key.source), "h": Key(1, f"{key.path}.h", key.source)} | keys
     from_sources = [name for name in ("q", "h") if given[name].value == FROM_SOURCES]
@@ -171,11 +159,10 @@ def read_hazard(key: Key, world: World, ground: Ground) -> World:
 
 def _chances(key: Key, world: World, ground: Ground) -> tuple[ArrayLike, tuple[str, ...]]:
     """A number, or an array `[H, W]` of probabilities: of the scenario's sources, or of a raster; notes."""
-    expected = f"a chance 0..1, a raster file, or {FROM_SOURCES}"
     if key.value == FROM_SOURCES:
         return np.where(world.free, world.threat, 0.0), ()
     if not isinstance(key.value, str):
-        return key.number(CHANCE, expected), ()
+        return key.number(CHANCE, f"a chance 0..1, a raster file, or {FROM_SOURCES}"), ()
     found = raster_values(key, ground)
     return found.p, tuple(f"{key.path}: {note}" for note in found.notes)
 
@@ -211,9 +198,6 @@ def read_uncertain(key: Key, world: World, ground: Ground, combine: str) -> Worl
 
 
 def _read_spread(key: Key, world: World, plan_on: float | None) -> World:
-    keys = key.mapping(("kind",), optional=("by", *AMOUNT.values()))
-    kind = keys["kind"].choice(SPREADS)
-    keys = key.mapping(("kind", AMOUNT[kind]), optional=("by",))
-    amount = keys[AMOUNT[kind]].number(AMOUNTS)
-    by = keys["by"].choice(SHARED) if "by" in keys else SHARED[0]
-    return world.with_spread(kind, amount, by, plan_on)
+    kind = key.mapping(("kind",), ("by", *AMOUNT.values()))["kind"].choice(SPREADS)
+    keys = key.mapping(("kind", AMOUNT[kind]), defaults={"by": SHARED[0]})
+    return world.with_spread(kind, keys[AMOUNT[kind]].number(AMOUNTS), keys["by"].choice(SHARED), plan_on)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple, get_args
+from typing import ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +20,7 @@ from planner.arguments import Numbers, check_word
 from planner.errors import WorldError
 from planner.failure_model import exposure_of
 from planner.world.keys import CHANCE, Quantity, checked_layer, first_of
-from planner.world.map_knowledge import Detector, Evidence, detector_in, evidence_of
+from planner.world.map_knowledge import Detector, Evidence, evidence_of
 
 HazardKind = Literal["persistent", "consumed"]
 SpreadKind = Literal["lognormal", "beta"]
@@ -88,6 +88,7 @@ class Hazard:
     h: NDArray[np.float32]
     learn: bool = False
     detector: Detector | None = None
+    key: ClassVar[str] = "latent_hazard"
 
     @property
     def description(self) -> str:
@@ -156,6 +157,7 @@ class Uncertain:
     column: NDArray[np.int32]
     number: NDArray[np.int32]
     description: str
+    key: ClassVar[str] = "map_uncertainty"
 
     @property
     def count(self) -> int:
@@ -244,28 +246,18 @@ def _chances(name: str, value: ArrayLike, free: NDArray[np.bool_], source: str) 
     return chances
 
 
-def uncertainty_in(
-    arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source: str
-) -> Hazard | Uncertain | None:
-    """The uncertainty in the arrays of a world file, or None.
+def uncertain_in(arrays: Mapping[str, NDArray], free: NDArray[np.bool_], source: str) -> Uncertain:
+    """The uncertain maps in the arrays of a world file.
 
     Args:
         arrays: of the file.
-        threat: float32 `[H, W]`, NaN = obstacle.
+        free: bool `[H, W]`.
         source: for messages.
 
     Raises:
-        WorldError: it is invalid.
+        WorldError: they are invalid.
     """
-    free = ~np.isnan(threat)
-    if "hazard_kind" in arrays:
-        q, h = (arrays.get(f"hazard_{name}", np.array("missing")) for name in ("q", "h"))
-        hazard = make_hazard(str(arrays["hazard_kind"]), q, h, free, source)
-        learns = bool(np.any(arrays.get("hazard_learn", False)))
-        return replace(hazard, learn=learns, detector=detector_in(arrays, source)) if learns else hazard
-    if "uncertain_chances" not in arrays:
-        return None
-    chances, column, number = (arrays.get(f"uncertain_{name}", np.zeros(0)) for name in ("chances", "column", "number"))
+    chances, column, number = (arrays[f"uncertain_{name}"] for name in ("chances", "column", "number"))
     whole = all(array.dtype.kind == "i" and array.shape == free.shape for array in (column, number))
     fits = chances.ndim == 2 and chances.dtype == np.float32 and bool(((chances >= 0) & (chances < 1)).all())
     if not (whole and fits and chances.size):
@@ -274,12 +266,8 @@ def uncertainty_in(
     placed = np.where(free, (column >= 0) & (column < chances.shape[1]), column == NO_COLUMN)
     if not placed.all() or number.min() < 0 or number.max() > MOST_LEVELS:
         raise WorldError("uncertain_column or _number is out of range", source=source)
-    return Uncertain(
-        np.ascontiguousarray(chances),
-        column.astype(np.int32),
-        number.astype(np.int32),
-        str(arrays.get("uncertain_said", "maps of a world file")),
-    )
+    said = str(arrays.get("uncertain_said", "maps of a world file"))
+    return Uncertain(np.ascontiguousarray(chances), column.astype(np.int32), number.astype(np.int32), said)
 
 
 def maps_of(maps: NDArray[np.float32], description: str) -> Uncertain:

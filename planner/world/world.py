@@ -15,18 +15,28 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from planner.arguments import Numbers, argument, check_each, check_word, exactly
+from planner.arguments import MAX_STEP, Numbers, argument, check_each, check_word, exactly, is_whole
 from planner.errors import MapError, PlanError, WorldError
 from planner.failure_model import exposure_of
-from planner.files import atomic_write, check_file, check_new, npz_bytes, read_csv_grid, read_npy, read_npz
+from planner.files import (
+    atomic_write,
+    check_file,
+    check_new,
+    library_errors,
+    npz_bytes,
+    read_csv_grid,
+    read_npy,
+    read_npz,
+)
 from planner.formatting import TURNS, UNPACED, Pace, chance, html_of, pace_of, text_of
 from planner.simulator.codes import NO_CELL
 from planner.world.grid import HOW_TO_GIVE_ONE, LONGEST, Frame, Georeference, principal
 from planner.world.keys import CELL_SIZE, COORDINATE, DETECT, POSE, PROBABILITY, SCALE, VALUE, checked_layer, first_of
 from planner.world.levels import entry_costs, find_levels
-from planner.world.map_knowledge import Knowledge, Sense, knowledge_in, make_detector, make_knowledge, make_sense
+from planner.world.map_knowledge import Knowledge, Sense, make_detector, make_knowledge, make_sense
 from planner.world.moving_threats import (
     FORESIGHTS,
+    MOST_PHASES,
     PATROLS,
     PLAN_ON,
     Foresight,
@@ -34,10 +44,8 @@ from planner.world.moving_threats import (
     MovingThreats,
     Phases,
     PlannedOn,
-    check_phases,
     make_moving_threats,
     moving_threats_in,
-    phases_in,
 )
 from planner.world.robot_types import RobotTypes, Sources, types_in
 from planner.world.uncertain_maps import (
@@ -49,7 +57,7 @@ from planner.world.uncertain_maps import (
     make_hazard,
     maps_of,
     spread_of,
-    uncertainty_in,
+    uncertain_in,
 )
 
 if TYPE_CHECKING:
@@ -64,6 +72,7 @@ EXAMPLE = "example:"
 """Prefix of the names of shipped examples."""
 Obstacles = Literal["unknown", "known"]
 OBSTACLES: tuple[Obstacles, ...] = ("unknown", "known")
+Uncertainty = Hazard | Uncertain | MovingThreats | Phases
 SensorRange = float | Sense | Mapping[str, Any]
 """A range in cells, or `{range, sight}`."""
 PLANNED_QUANTILE = Numbers(0, 1, above=True, below=True, text="mean, or a number between 0 and 1")
@@ -116,7 +125,7 @@ class World:
     georeference: Georeference | None = None
     value: NDArray[np.float64] | None = None
     detect: NDArray[np.float64] | None = None
-    uncertainty: Hazard | Uncertain | MovingThreats | Phases | None = None
+    uncertainty: Uncertainty | None = None
     sources: Sources | None = None
     knowledge: Knowledge | None = None
     measured: bool = True
@@ -303,31 +312,27 @@ class World:
         Raises:
             WorldError: it is not.
         """
-        if self.uncertainty is not None:
-            # The message names the scenario key to leave out, which depends on the kind of uncertainty.
-            problem = f"{what} requires one known map; here: {self.uncertainty.description}"
-            named = {MovingThreats: "`moving_threats`", Phases: "`phases`"}.get(type(self.uncertainty))
-            fix = f"leave {named or '`latent_hazard` and `map_uncertainty`'} out{or_else}"
-            raise WorldError(problem, source=self.source, fix=fix)
+        key = "" if self.uncertainty is None else self.uncertainty.key
+        self._refuse(what, self.uncertainty, "requires one known map", f"leave `{key}` out{or_else}")
         self.require_known_map(what, or_else)
-        if self.types is not None:
-            problem = f"{what} requires the same p for every robot; here: {self.types.description}"
-            raise WorldError(problem, source=self.source, fix="leave `matrix` and `types` out" + or_else)
+        fix = f"leave `matrix` and `types` out{or_else}"
+        self._refuse(what, self.types, "requires the same p for every robot", fix)
 
     def require_known_map(self, what: str, or_else: str = "") -> None:
         """Check that the map is known: robots neither update nor estimate it. Args and errors as in
         `require_certain_map`."""
-        if self.learned_hazard is not None:
-            problem = f"{what} does not support hazard estimates; here: {self.learned_hazard.description}"
-            raise WorldError(problem, source=self.source, fix="leave `learn` out" + or_else)
-        if self.phases is not None and self.phases.told:
-            problem = f"{what} requires threats known in advance; here: {self.phases.description}"
-            raise WorldError(problem, source=self.source, fix="use `plan_on: first` or `worst`" + or_else)
-        if self.knowledge is not None:
-            problem = f"{what} requires a known map; here: {self.knowledge.description}"
-            raise WorldError(
-                problem, source=self.source, fix="leave `true_map`, `prior_map` and `sensor_range` out" + or_else
-            )
+        told = self.phases if self.phases is not None and self.phases.told else None
+        for found, requires, fix in (
+            (self.learned_hazard, "does not support hazard estimates", "leave `learn` out"),
+            (told, "requires threats known in advance", "use `plan_on: first` or `worst`"),
+            (self.knowledge, "requires a known map", "leave `true_map`, `prior_map` and `sensor_range` out"),
+        ):
+            self._refuse(what, found, requires, fix + or_else)
+
+    def _refuse(self, what: str, found: Uncertainty | Knowledge | RobotTypes | None, requires: str, fix: str) -> None:
+        """Raise WorldError if the world has `found`, with which `what` does not work."""
+        if found is not None:
+            raise WorldError(f"{what} {requires}; here: {found.description}", source=self.source, fix=fix)
 
     def require_uniform(self, what: str) -> None:
         """Check that all cells count the same: no values and no detection probabilities.
@@ -440,17 +445,20 @@ class World:
         """
         self._require_single_uncertainty("phases")
         check_word("plan_on", plan_on, FORESIGHTS, WorldError, self.source)
-        begins, maps = [], []
+        begins: list[int] = []
+        maps: list[NDArray[np.float32]] = []
         for number, pair in enumerate(phases):
+            name, least = f"phases[{number}]", begins[-1] + 1 if begins else 0
             if not (isinstance(pair, tuple | list) and len(pair) == 2):
                 expected = "pairs (step, threats), e.g. (40, numpy.zeros((20, 20)))"
-                raise WorldError(f"phases[{number}] is {type(pair).__name__}", source=self.source, expected=expected)
+                raise WorldError(f"{name} is {type(pair).__name__}", source=self.source, expected=expected)
+            if not is_whole(pair[0], least, MAX_STEP):
+                expected = f"a step, {least} to {MAX_STEP}" + ": phases are in order of time" * (number > 0)
+                raise WorldError(f"{name}.from is {pair[0]!r:.40}", source=self.source, expected=expected)
             begins.append(pair[0])
-            maps.append(self._threat_of(pair[1], f"phases[{number}]"))
-            if maps[-1].shape != self.shape:
-                problem = f"phases[{number}] has shape {list(maps[-1].shape)}"
-                raise WorldError(problem, source=self.source, expected=f"that of the map, {list(self.shape)}")
-        check_phases(begins, np.stack(maps or [self.threat]), self.free, self.source)
+            maps.append(self._on_same_cells(pair[1], name))
+        if not 0 < len(begins) <= MOST_PHASES:
+            raise WorldError(f"{len(begins)} phases", source=self.source, expected=f"1 to {MOST_PHASES}")
         # The world's own threats hold until the first phase.
         if begins[0] != 0:
             begins, maps = [0, *begins], [self.threat, *maps]
@@ -514,15 +522,11 @@ class World:
         self._require_single_uncertainty("maps", Uncertain, "; a prior is given after the maps")
         if len(maps) == 0:
             raise WorldError("uncertain maps is empty", source=self.source, expected="a map or more")
-        checked = [World.create(one, source=f"{self.source}: maps[{place}]") for place, one in enumerate(maps)]
-        for one in checked:
-            if one.shape != self.shape or (one.free != self.free).any():
-                problem = "has other obstacles or another shape"
-                raise WorldError(problem, source=one.source, expected="those of the world")
+        checked = [self._on_same_cells(one, f"maps[{place}]") for place, one in enumerate(maps)]
         if len(checked) * self.threat.size > MOST_CHANCES:
             problem = f"{len(checked)} maps of {self.threat.size} cells"
             raise WorldError(problem, source=self.source, expected=f"at most {MOST_CHANCES} cells in all")
-        uncertain = maps_of(np.stack([one.threat for one in checked]), f"one of {len(checked)} equally likely maps")
+        uncertain = maps_of(np.stack(checked), f"one of {len(checked)} equally likely maps")
         PLANNED_QUANTILE.check("plan_on", plan_on, WorldError, self.source, optional=True)
         return self._planning_on(uncertain.plan_on(plan_on), uncertain)
 
@@ -633,7 +637,19 @@ class World:
         """p `[H, W]` of a world or of an array, checked."""
         return (given if isinstance(given, World) else World.create(given, source=f"{self.source}: {name}")).threat
 
-    def _planning_on(self, threat: NDArray[np.float32], uncertainty: Hazard | Uncertain | None) -> World:
+    def _on_same_cells(self, given: World | ArrayLike, name: str) -> NDArray[np.float32]:
+        """p `[H, W]` of a world or of an array, checked to have this world's obstacles."""
+        threat = self._threat_of(given, name)
+        if threat.shape != self.shape:
+            problem = f"{name} has shape {list(threat.shape)}"
+            raise WorldError(problem, source=self.source, expected=f"that of the map, {list(self.shape)}")
+        differ = np.isnan(threat) == self.free
+        if differ.any():
+            problem = f"{name} has other obstacles {first_of(differ)[1]}"
+            raise WorldError(problem, source=self.source, expected="those of the map: only threats change")
+        return threat
+
+    def _planning_on(self, threat: NDArray[np.float32], uncertainty: Uncertainty | None) -> World:
         threat.setflags(write=False)
         return replace(self, threat=threat, uncertainty=uncertainty)
 
@@ -643,8 +659,7 @@ class World:
         """The world with the prior map `belief` and the true map `truth`, float32 `[H, W]`."""
         if self.uncertainty is not None and not isinstance(self.uncertainty, Uncertain):
             problem = f"map updates do not support this uncertainty: {self.uncertainty.description}"
-            named = {MovingThreats: "moving_threats", Phases: "phases"}.get(type(self.uncertainty), "latent_hazard")
-            fix = f"leave out `{named}`, or `true_map`, `prior_map` and `sensor_range`"
+            fix = f"leave out `{self.uncertainty.key}`, or `true_map`, `prior_map` and `sensor_range`"
             raise WorldError(problem, source=self.source, fix=fix)
         sense = make_sense(sensor_range, self.source)
         # Sensors compare whole maps: with a quantile per level there would be one map for each combination.
@@ -863,16 +878,42 @@ def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
     size, origin = arrays.get("cell_size", 1.0), arrays.get("origin", np.zeros(3))
     place = _georeference(arrays, source) if "crs" in arrays else None
     world = World.create(arrays["threat"], None, size, origin, source, georeference=place)
-    # The true map first: starts, phases and uncertainty are checked against it.
-    if "truth" in arrays:
-        truth = _checked_threat(arrays["truth"], f"{source}: truth")[0]
-        world = replace(world, knowledge=knowledge_in({**arrays, "truth": truth}, world.threat, source))
-    if "starts" in arrays:
-        world = replace(world, starts=check_starts(arrays["starts"], world.met, source))
-    changing = moving_threats_in(arrays, world.met, source) or phases_in(arrays, world.met, source)
-    uncertainty, types = changing or uncertainty_in(arrays, world.met, source), types_in(arrays, world.free, source)
-    world = replace(world, uncertainty=uncertainty, measured="cell_size" in arrays, types=types)
-    return world.with_values(arrays.get("value"), arrays.get("detect"))
+    # The builders that users call check what a file holds: a file has no rules of its own.
+    with library_errors("its arrays do not fit each other", source, "arrays as World.save writes them"):
+        # The true map first: starts, phases and uncertainty are checked against it.
+        if "truth" in arrays:
+            far, sight = arrays.get("sense", np.zeros(2)).tolist()
+            world = world.with_true_map(arrays["truth"], {"range": far, "sight": bool(sight)})
+        if "starts" in arrays:
+            world = world.with_starts(arrays["starts"])
+        types = types_in(arrays, world.free, source) if "types" in arrays else None
+        world = replace(world, uncertainty=_uncertainty_in(arrays, world), measured="cell_size" in arrays, types=types)
+        return world.with_values(arrays.get("value"), arrays.get("detect"))
+
+
+def _uncertainty_in(arrays: Mapping[str, NDArray], world: World) -> Uncertainty | None:
+    """The uncertainty or change of a world's threats in the arrays of its file."""
+    true = World(world.met, source=world.source)
+    if "movers_own" in arrays:
+        own = true._on_same_cells(arrays["movers_own"], "movers_own")
+        return replace(true, threat=own).with_moving_threats(moving_threats_in(arrays), "own").uncertainty
+    if "phases_threat" in arrays:
+        begins, plan_on = arrays["phases_from"].tolist(), str(arrays["phases_plan_on"])
+        pairs = list(zip(begins, arrays["phases_threat"], strict=True))
+        found = true.with_phases(pairs, plan_on)  # type: ignore[arg-type]
+        # The stored map of the plan has to follow from the phases: else plans and rollouts would disagree.
+        if begins[0] or not np.array_equal(found.threat, world.threat, equal_nan=True):
+            raise ValueError("threat does not follow from phases_*")
+        return found.uncertainty
+    if "hazard_kind" in arrays:
+        learns = bool(np.any(arrays.get("hazard_learn", False)))
+        true = true.with_latent_hazard(str(arrays["hazard_kind"]), arrays["hazard_q"], arrays["hazard_h"], learns)
+        if learns and "hazard_detector" in arrays:
+            far, sight, detect, false_alarm = arrays["hazard_detector"].tolist()
+            sensor = {"range": far, "sight": bool(sight), "detect": detect, "false_alarm": false_alarm}
+            true = true.with_sensor_range(sensor)
+        return true.uncertainty
+    return uncertain_in(arrays, true.free, world.source) if "uncertain_chances" in arrays else None
 
 
 def _place(georeference: Georeference) -> tuple[tuple[str, Any], ...]:

@@ -129,15 +129,14 @@ class Advice(Output):
         """Whether the plan loses a considerable share of the team, and this setting at most half of that."""
         return self.now[2].mean > CHEAP * self.robots and self.now[2].mean > 2 * point.losses.mean
 
-    def as_json(self) -> Json | None:
+    def to_json(self) -> Json | None:
         if self.advised is None or self.difference is None:
             return None
         front = [
-            {**point.setting.limits_json(), "coverage": point.coverage.to_json(), "losses": point.losses.to_json()}
-            for point in self.points
+            {**point.setting.limits_json(), "coverage": point.coverage, "losses": point.losses} for point in self.points
         ]
         chosen = front[self.points.index(self.advised)]
-        return {**chosen, "difference": self.difference.to_json(), "rollouts": self.rollouts, "front": front}
+        return {**chosen, "difference": self.difference, "rollouts": self.rollouts, "front": front}
 
     def elements(self) -> Elements:
         below = [self.chart()] if self.points else []

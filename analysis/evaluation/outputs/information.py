@@ -55,7 +55,7 @@ class Team:
         """Mean visited coverage minus the other team's, a fraction of the accessible cells."""
         return self.found.ahead(other.found, "visited", 1.0 / self.found.largest("visited"))
 
-    def as_json(self) -> Json:
+    def to_json(self) -> Json:
         """The JSON object of the figures."""
         return {"range": "inf" if isinf(self.range) else self.range} | team_json(self.found)
 
@@ -145,16 +145,16 @@ class Knowledge(Output):
         sampled = f"{counted(found.rollouts, 'rollout')} of each, common random numbers"
         return sampled if isinstance(found, Sampled) else "exact"
 
-    def as_json(self) -> Json:
+    def to_json(self) -> Json:
         learning, no_sensor = self.learning, self.no_sensor
         return {
-            "known": self.known_map.as_json(),
-            "learning": learning.as_json(),
-            "no_sensor": no_sensor and no_sensor.as_json(),
+            "known": self.known_map.to_json(),
+            "learning": learning.to_json(),
+            "no_sensor": no_sensor and no_sensor.to_json(),
             "price_of_not_knowing": self.known_map.ahead(learning),
             "value_of_sensing": no_sensor and learning.ahead(no_sensor),
             "steps": [{"from": one.range, "to": other.range, "gain": more} for one, other, more in self.steps],
-            "curve": [team.as_json() | {"behind": self.known_map.ahead(team)} for team in self.teams],
+            "curve": [team.to_json() | {"behind": self.known_map.ahead(team)} for team in self.teams],
             "rollouts": self.known_map.found.rollouts,
         }
 
@@ -303,7 +303,7 @@ class Experience(Output):
     def _unit(self) -> float:
         return 1.0 / self.learning.largest("visited")
 
-    def as_json(self) -> Json:
+    def to_json(self) -> Json:
         before, after = self.bits
         return {
             **{name.replace(" ", "_"): team_json(found) for name, found in self._teams.items()},

@@ -195,11 +195,11 @@ class Deadline(Output):
             return found.with_tree(self.tree)
         return found if self.losses is None else found.with_means(*self.exact, self.losses)
 
-    def as_json(self) -> Json:
+    def to_json(self) -> Json:
         return {
             "steps": self.steps,
-            **self.figures.coverage_json(),
-            "losses": self.figures.losses.to_json(),
+            **self.figures.coverage,
+            "losses": self.figures.losses,
             "exact": {"open_loop": dict(zip(MEANINGS, self.exact, strict=True))},
         }
 
@@ -275,13 +275,13 @@ class Turning(Output):
             run.world.pace,
         )
 
-    def as_json(self) -> Json:
+    def to_json(self) -> Json:
         return {
             "cost": self.turn,
             "rollouts": self.rollouts,
-            "moves": self.moves.to_json(),
-            "quarter_turns": self.turns.to_json(),
-            "time": self.time.to_json(),
+            "moves": self.moves,
+            "quarter_turns": self.turns,
+            "time": self.time,
             "nominal": {
                 "moves": int(self.nominal.moves.sum()),
                 "quarter_turns": int(self.nominal.turns.sum()),

@@ -112,7 +112,7 @@ class Value(Output):
         """Expected area visited, m2."""
         return float(self.covered_by_cell.sum()) * self.world.cell_size**2
 
-    def as_json(self) -> Json:
+    def to_json(self) -> Json:
         """The JSON object, without the values by cell."""
         route = self.route_left
         per_robot = {"value": self.covered.mean, "square_metres": self.square_metres}

@@ -89,13 +89,13 @@ class Scaled:
         """Figures of these rollouts."""
         return Figures.of(self.tally, self.certain)
 
-    def as_json(self) -> Json:
+    def to_json(self) -> Json:
         """The JSON object of the figures."""
         found = self.figures
         return {
             "scale": self.scale,
             "certain": self.certain,
-            "coverage": found.coverage_json(),
+            "coverage": found.coverage,
             "complete": found.complete,
             "losses": found.losses,
             "time": {"mean": found.time.mean},
@@ -140,8 +140,8 @@ class ThreatScale(Output):
             found = cls((*found.scaled, Scaled(scale, tally, exact, certain, known)))
             yield found
 
-    def as_json(self) -> list[Json]:
-        return [scaled.as_json() for scaled in self.scaled]
+    def to_json(self) -> list[Json]:
+        return [scaled.to_json() for scaled in self.scaled]
 
     def elements(self) -> Elements:
         unit = 1.0 / self.scaled[0].tally.accessible
@@ -212,7 +212,7 @@ class EqualRobots(Output):
         """Mean visited coverage of the team minus the other team's, a fraction of the accessible cells."""
         return self.team.ahead(other.found, "visited", team_unit(self.team))
 
-    def as_json(self) -> Json:
+    def to_json(self) -> Json:
         return {
             "rollouts": self.team.rollouts,
             **team_json(self.team),
@@ -300,7 +300,7 @@ class MapVariance(Output):
             "exact on each" if self.rollouts == 0 else counted(self.rollouts, "rollout")
         )
 
-    def as_json(self) -> Json:
+    def to_json(self) -> Json:
         sides = {"maps": self.parts.between, "luck": self.parts.within}
         return {
             "maps": len(self.means),

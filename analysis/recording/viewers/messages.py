@@ -9,27 +9,23 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from foxglove_schemas_protobuf.Color_pb2 import Color
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from foxglove_schemas_protobuf.VoxelGrid_pb2 import VoxelGrid
+from google.protobuf.timestamp_pb2 import Timestamp
 from numpy.typing import NDArray
 
-from analysis.recording.frames import (
-    ENDS_WITH_ERROR,
-    AreaMap,
-    Discovery,
-    Frames,
-    Held,
-    end_text,
-    event_line,
-    make_frames,
-)
+from analysis.recording import frames as framing
 from analysis.recording.viewers import topics
 from analysis.recording.viewers.topics import FRAME, Clock, Message, Place, Stage, occupancy_grid
 from planner.plan.plan import headings
@@ -92,12 +88,12 @@ class MapDrawer:
         self._rgba[places, :3], self._rgba[places, 3] = topics.robots_rgb(robots), SOLID
         self._plates[places, :3], self._plates[places, 3] = topics.robots_rgb(robots), OPAQUE
 
-    def hold(self, areas: AreaMap) -> None:
+    def hold(self, areas: framing.AreaMap) -> None:
         """Set the areas and their robots."""
         self.changed = True
         unseen = self._first == NO_ROBOT
         at = self._at[unseen]
-        owned, inside = areas.held[at] != Held.UNASSIGNED, areas.area[at] != NO_AREA
+        owned, inside = areas.held[at] != framing.Held.UNASSIGNED, areas.area[at] != NO_AREA
         rgb = np.where(owned[:, None], topics.robots_rgb(areas.robot[at]), np.array(topics.OPEN_AREA, dtype=np.uint8))
         self._rgba[unseen, :3], self._rgba[unseen, 3] = rgb, np.where(inside, np.where(owned, PALE, FAINT), 0)
         self._plates[unseen, :3], self._plates[unseen, 3] = topics.pale(rgb), np.where(inside & owned, OPAQUE, 0)
@@ -215,6 +211,23 @@ def add_fields(message: Any, fields: np.dtype) -> None:
             message.fields.add(name=name, offset=offset, type=_KINDS[kind.str[1:]])
 
 
+def stamp(time: int) -> Timestamp:
+    """A time in nanoseconds."""
+    made = Timestamp()
+    made.FromNanoseconds(time)
+    return made
+
+
+def pose(x: float, y: float, height: float, z: float = 0.0, w: float = 1.0) -> Pose:
+    """The pose at a place, in metres; `z, w`: of the quaternion."""
+    return Pose(position=Vector3(x=x, y=y, z=height), orientation=Quaternion(z=z, w=w))
+
+
+def colour(rgb: tuple[int, int, int], alpha: float = 1.0) -> Color:
+    """The colour of 0..255 each."""
+    return Color(r=rgb[0] / 255, g=rgb[1] / 255, b=rgb[2] / 255, a=alpha)
+
+
 def _cloud(fields: np.dtype, count: int) -> tuple[Any, NDArray]:
     """A foxglove.PointCloud without data, and the array of its points."""
     cloud = PointCloud(frame_id=FRAME, point_stride=fields.itemsize)
@@ -238,29 +251,24 @@ class MovingThreatDrawer:
 
     def __init__(self, world: World, ways: NDArray[np.int64]) -> None:
         """`ways` `[T, M]`: the cell of each threat at the end of each step; nothing is drawn if M is 0."""
-        self._xy, self._scene = world.to_xy(ways), SceneUpdate()
+        self._xy, self._z, self._side = world.to_xy(ways), THREAT_HEIGHT * world.cell_size, SIDE * world.cell_size
         self._cloud, self._points = _cloud(_THREAT_POINT, ways.shape[1])
-        self._points["z"], self._points["alpha"] = THREAT_HEIGHT * world.cell_size, 255
+        self._points["z"], self._points["alpha"] = self._z, 255
         self._points["red"], self._points["green"], self._points["blue"] = topics.MOVER
-        for number in range(ways.shape[1]):
-            cube = self._scene.entities.add(frame_id=FRAME, id=f"mover {number}").cubes.add()
-            cube.pose.orientation.w, cube.pose.position.z = 1.0, THREAT_HEIGHT * world.cell_size
-            cube.size.x = cube.size.y = cube.size.z = SIDE * world.cell_size
-            cube.color.r, cube.color.g, cube.color.b = (part / 255 for part in topics.MOVER)
-            cube.color.a = 1.0
 
     def messages(self, time: int, step: int) -> Iterator[tuple[str, Any]]:
         """(topic, message) of all moving threats."""
         if not len(self._points):
             return
-        for entity, (x, y) in zip(self._scene.entities, self._xy[step].tolist(), strict=True):
-            place = entity.cubes[0].pose.position
-            place.x, place.y = x, y
-            entity.timestamp.FromNanoseconds(time)
+        scene, side = SceneUpdate(), self._side
+        for number, (x, y) in enumerate(self._xy[step].tolist()):
+            entity = scene.entities.add(timestamp=stamp(time), frame_id=FRAME, id=f"mover {number}")
+            size = Vector3(x=side, y=side, z=side)
+            entity.cubes.add(pose=pose(x, y, self._z), size=size, color=colour(topics.MOVER))
         self._points["x"], self._points["y"] = self._xy[step].T
         self._cloud.data = self._points.tobytes()
         self._cloud.timestamp.FromNanoseconds(time)
-        yield "/movers/markers", self._scene
+        yield "/movers/markers", scene
         yield "/movers/points", self._cloud
 
 
@@ -293,67 +301,52 @@ class RobotDrawer:
         self._alive, self._size = alive, world.cell_size
         self._ball = max(0.9, BALL * max(world.shape)) * world.cell_size
         self._turn = np.stack([np.sin(self.yaw / 2), np.cos(self.yaw / 2)], axis=-1)
-        self._frames, self._poses, self._scene = FrameTransforms(), PosesInFrame(frame_id=FRAME), SceneUpdate()
         self._cloud, self._points = _cloud(_ROBOTS_POINT, cells.shape[1])
         self._points["robot"], self._points["alpha"] = np.arange(cells.shape[1]), 255
         self._points["z"] = POINT_HEIGHT * self._size
-        for robot in range(cells.shape[1]):
-            self._frames.transforms.add(parent_frame_id=FRAME, child_frame_id=f"robot_{robot}")
-            self._poses.poses.add()
-            self._marker(robot)
-
-    def _marker(self, robot: int) -> None:
-        entity = self._scene.entities.add(frame_id=FRAME, id=f"robot {robot}")
-        ball, text = entity.spheres.add(), entity.texts.add(text=str(robot), billboard=True)
-        ball.pose.orientation.w = text.pose.orientation.w = 1.0
-        ball.size.x = ball.size.y = ball.size.z = self._ball
-        text.font_size, text.scale_invariant = LABEL_PIXELS, True
-        for drawn in (ball, text):
-            _robots_paint(drawn.color, topics.robot_rgb(robot))
-        ball.pose.position.z, text.pose.position.z = ROBOTS_HEIGHT * self._size, ROBOTS_HEIGHT * self._size + self._ball
 
     def messages(self, time: int, step: int) -> Iterator[tuple[str, Any]]:
-        """(topic, message) of the whole team; steps must be consecutive.
+        """(topic, message) of the whole team.
 
         Frames map -> robot_k; poses by robot; one coloured point for each robot, red if it is lost; a ball with the
         robot's number, red and crossed out if it is lost.
         """
-        alive = self._alive[step]
+        alive, now = self._alive[step], stamp(time)
+        frames, poses, scene = FrameTransforms(), PosesInFrame(frame_id=FRAME, timestamp=now), SceneUpdate()
         where = zip(self.xy[step].tolist(), self._turn[step].tolist(), strict=True)
-        drawn = zip(self._frames.transforms, self._poses.poses, self._scene.entities, where, strict=True)
-        for robot, (transform, pose, entity, ((x, y), (z, w))) in enumerate(drawn):
-            marks = entity.spheres[0].pose.position, entity.texts[0].pose.position
-            for place in (transform.translation, pose.position, *marks):
-                place.x, place.y = x, y
-            for turn in (transform.rotation, pose.orientation):
-                turn.z, turn.w = z, w
-            transform.timestamp.FromNanoseconds(time)
-            entity.timestamp.FromNanoseconds(time)
-            if not alive[robot] and (step == 0 or self._alive[step - 1, robot]):
-                self._cross_out(entity)
+        for robot, ((x, y), (z, w)) in enumerate(where):
+            at = pose(x, y, 0.0, z, w)
+            child = f"robot_{robot}"
+            place: dict[str, Any] = {"translation": at.position, "rotation": at.orientation}
+            frames.transforms.add(timestamp=now, parent_frame_id=FRAME, child_frame_id=child, **place)
+            poses.poses.append(at)
+            self._mark(
+                scene.entities.add(timestamp=now, frame_id=FRAME, id=f"robot {robot}"), robot, x, y, alive[robot]
+            )
         points = self._points
         points["x"], points["y"] = self.xy[step].T
         own = topics.robots_rgb(points["robot"].astype(np.int32))
         points["red"], points["green"], points["blue"] = np.where(alive[:, None], own, topics.LOST).T
         self._cloud.data = points.tobytes()
-        for message in (self._poses, self._cloud):
-            message.timestamp.FromNanoseconds(time)
-        yield "/tf", self._frames
-        yield "/robots/poses", self._poses
+        self._cloud.timestamp.FromNanoseconds(time)
+        yield "/tf", frames
+        yield "/robots/poses", poses
         yield "/robots/points", self._cloud
-        yield "/robots/markers", self._scene
+        yield "/robots/markers", scene
 
-    def _cross_out(self, entity: Any) -> None:
-        ball, text = entity.spheres[0], entity.texts[0]
-        _robots_paint(ball.color, topics.LOST)
-        _robots_paint(text.color, topics.LOST)
-        text.text = f"× {text.text}"  # noqa: RUF001
-        line = entity.lines.add(type=LinePrimitive.LINE_LIST, thickness=0.25 * self._ball)
-        line.pose.orientation.w = 1.0
-        _robots_paint(line.color, (255, 255, 255))
-        at, arm = ball.pose.position, 0.4 * self._ball
-        for x, y in ((-arm, -arm), (arm, arm), (-arm, arm), (arm, -arm)):
-            line.points.add(x=at.x + x, y=at.y + y, z=at.z + 0.6 * self._ball)
+    def _mark(self, entity: Any, robot: int, x: float, y: float, alive: bool) -> None:
+        """A ball with the robot's number; a lost robot is red and crossed out."""
+        side, z = self._ball, ROBOTS_HEIGHT * self._size
+        text = str(robot) if alive else f"× {robot}"  # noqa: RUF001
+        paint = colour(topics.robot_rgb(robot) if alive else topics.LOST)
+        entity.spheres.add(pose=pose(x, y, z), size=Vector3(x=side, y=side, z=side), color=paint)
+        label: dict[str, Any] = {"font_size": LABEL_PIXELS, "scale_invariant": True, "billboard": True}
+        entity.texts.add(pose=pose(x, y, z + side), color=paint, text=text, **label)
+        if not alive:
+            line = entity.lines.add(type=LinePrimitive.LINE_LIST, thickness=0.25 * side, color=colour((255, 255, 255)))
+            line.pose.orientation.w, arm = 1.0, 0.4 * side
+            for across, up in ((-arm, -arm), (arm, arm), (-arm, arm), (arm, -arm)):
+                line.points.add(x=x + across, y=y + up, z=z + 0.6 * side)
 
     def voxel(self, time: int, step: int, robot: int) -> Any:
         """foxglove.VoxelGrid of one cell: a white block at the robot, red if it is lost.
@@ -378,9 +371,9 @@ class PathLines:
         self._scene, self._length = SceneUpdate(), [0] * robots
         for robot in range(robots):
             entity = self._scene.entities.add(frame_id=FRAME, id=f"{name} {robot}")
-            line = entity.lines.add(type=LinePrimitive.LINE_STRIP, thickness=pixels, scale_invariant=True)
+            paint = colour(topics.robot_rgb(robot), alpha)
+            line = entity.lines.add(type=LinePrimitive.LINE_STRIP, thickness=pixels, scale_invariant=True, color=paint)
             line.pose.orientation.w = 1.0
-            _robots_paint(line.color, topics.robot_rgb(robot), alpha)
 
     def message(self, time: int, paths: Sequence[NDArray[np.int64]]) -> Any:
         """The lines of paths `[P]` (cells), through their corners; each path extends the one of the last call."""
@@ -400,10 +393,6 @@ def corners(path: NDArray[np.int64]) -> NDArray[np.int64]:
     moves = np.diff(path[entered])
     turned = np.flatnonzero(moves[1:] != moves[:-1]) + 1
     return np.unique(np.concatenate([entered[:1], entered[turned], entered[-1:]]))
-
-
-def _robots_paint(colour: Any, rgb: tuple[int, int, int], alpha: float = 1.0) -> None:
-    colour.r, colour.g, colour.b, colour.a = rgb[0] / 255, rgb[1] / 255, rgb[2] / 255, alpha
 
 
 DRIVEN_LOOKS, DRIVEN_PATHS = 40, 4
@@ -438,7 +427,7 @@ class RolloutDrawer:
         world, state = stage.world, stage.plan.state
         accessible = world.accessible(stage.plan.starts)
         self.accessible = int(accessible.sum())
-        self.frames: Frames = make_frames(trace, state)
+        self.frames: framing.Frames = framing.make_frames(trace, state)
         self.map = MapDrawer(world, accessible)
         self.robots = RobotDrawer(world, trace.cells, self.frames.alive)
         self.moving = MovingThreatDrawer(world, threat_paths(world, stage.seed, trace.rollout, trace.time + 1))
@@ -501,7 +490,7 @@ class RolloutDrawer:
         yield "/map/threat_occ", self.map.threat_occupancy(time)
         yield "/map/obstacles", self.map.obstacles(time)
 
-    def _discovered(self, discovery: Discovery, time: int, step: int) -> Messages:
+    def _discovered(self, discovery: framing.Discovery, time: int, step: int) -> Messages:
         """The team's map and the unseen cells, if they changed."""
         if step == 0 or ((discovery.when > self.shown) & (discovery.when <= step)).any():
             self.map.believe(discovery.believed(step), discovery.seen(step))
@@ -522,7 +511,7 @@ class RolloutDrawer:
             _, robot, kind, area, other = row.tolist()
             event = topics.Event(rollout=trace.rollout, step=step, robot=robot, kind=kind, area=area, other=other)
             yield "/rollout/event", event
-            line = event_line(row, self.stage.world, self.stage.plan)
+            line = framing.event_line(row, self.stage.world, self.stage.plan)
             yield "/events", _log(time, line.level, f"robot {robot}", line.text)
 
     def _map(self, time: int, step: int) -> Messages:
@@ -575,8 +564,8 @@ class RolloutDrawer:
         trace, frames = self.trace, self.frames
         visited, survived, alive = int(frames.visited[-1]), int(frames.survived[-1]), int(frames.alive_count[-1])
         ended = self.stage.plan.ending(trace.outcome)
-        text, level = end_text(trace, ended, visited, survived, self.accessible, alive), Log.INFO
-        yield "/events", _log(time, Log.ERROR if ended in ENDS_WITH_ERROR else level, "rollout", text)
+        text, level = framing.end_text(trace, ended, visited, survived, self.accessible, alive), Log.INFO
+        yield "/events", _log(time, Log.ERROR if ended in framing.ENDS_WITH_ERROR else level, "rollout", text)
         end = topics.End(rollout=trace.rollout, outcome=int(trace.outcome), time=trace.time, visited=visited)
         end.survived, end.alive = survived, alive
         end.area_of.extend(trace.area_of.tolist())
@@ -584,6 +573,4 @@ class RolloutDrawer:
 
 
 def _log(time: int, level: int, name: str, text: str) -> Any:
-    log = Log(level=level, message=text, name=name)  # type: ignore[arg-type]
-    log.timestamp.FromNanoseconds(time)
-    return log
+    return Log(timestamp=stamp(time), level=level, message=text, name=name)  # type: ignore[arg-type]

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -20,8 +19,8 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.VoxelGrid_pb2 import VoxelGrid
-from google.protobuf import descriptor_pool, message_factory
-from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
+from google.protobuf import descriptor_pool, message_factory, text_format
+from google.protobuf.descriptor_pb2 import FileDescriptorProto
 from mcap_protobuf.schema import build_file_descriptor_set
 from numpy.typing import NDArray
 
@@ -55,7 +54,7 @@ ARRAY = _schema("std_msgs/msg/Float64MultiArray")
 _HEADER = struct.Struct("<iII4s")
 """Header: seconds, nanoseconds, length of "map" with its NUL, and the text: 16 bytes."""
 _META = struct.Struct("<iIfII4x7dI")
-_STAMPED = np.dtype([("header", "V16"), ("pose", "<f8", 7)])
+_STAMPED = np.dtype([("sec", "<i4"), ("nanosec", "<u4"), ("size", "<u4"), ("frame", "S4"), ("pose", "<f8", 7)])
 
 
 @dataclass(frozen=True)
@@ -89,10 +88,8 @@ def occupancy_grid(nanoseconds: int, place: Place, values: NDArray[np.int8]) -> 
 def path(nanoseconds: int, stamps: NDArray[np.int64], xy: NDArray[np.float64], yaw: NDArray[np.float64]) -> bytes:
     """nav_msgs/Path of poses at `stamps` `[P]` in nanoseconds, positions `[P, 2]` in metres, yaws `[P]` in radians."""
     poses = np.zeros(len(stamps), dtype=_STAMPED)
-    seconds, rest = np.divmod(stamps, 10**9)
-    headers = np.zeros(len(stamps), dtype=[("sec", "<i4"), ("nanosec", "<u4"), ("size", "<u4"), ("frame", "S4")])
-    headers["sec"], headers["nanosec"], headers["size"], headers["frame"] = seconds, rest, 4, FRAME.encode()
-    poses["header"] = headers.view("V16")
+    poses["sec"], poses["nanosec"] = np.divmod(stamps, 10**9)
+    poses["size"], poses["frame"] = len(FRAME) + 1, FRAME.encode()
     poses["pose"][:, :2] = xy
     poses["pose"][:, 5], poses["pose"][:, 6] = np.sin(yaw / 2), np.cos(yaw / 2)
     body = poses.tobytes()
@@ -111,40 +108,15 @@ def _header(nanoseconds: int) -> bytes:
     return _HEADER.pack(seconds, rest, 4, FRAME.encode())
 
 
-# The project's own messages, built at run time from `mrac.proto` without a compiler.
+# The project's own messages: classes of a descriptor in this folder, without a compiler.
 
-_BLOCK = re.compile(r"^(enum|message) (\w+) \{(.*?)^\}", re.DOTALL | re.MULTILINE)
-_VALUE = re.compile(r"^  (\w+) = (\d+);", re.MULTILINE)
-_FIELD = re.compile(r"^  (repeated )?(\w+) (\w+) = (\d+);", re.MULTILINE)
-"""A value of an enumeration, and a field of a message: the only lines of the file's blocks."""
-
-
-def _messages() -> dict[str, Any]:
-    """The class of every message."""
-    text = files("analysis.recording.viewers").joinpath("mrac.proto").read_text(encoding="utf-8")
-    file, names = FileDescriptorProto(name="mrac.proto", package="mrac", syntax="proto3"), list[str]()
-    for kind, name, body in _BLOCK.findall(text):
-        if kind == "enum":
-            values = file.enum_type.add(name=name)
-            for value, number in _VALUE.findall(body):
-                values.value.add(name=value, number=int(number))
-            continue
-        names.append(name)
-        message = file.message_type.add(name=name)
-        for repeated, of, field, number in _FIELD.findall(body):
-            added = message.field.add(name=field, number=int(number))
-            added.label = FieldDescriptorProto.LABEL_REPEATED if repeated else FieldDescriptorProto.LABEL_OPTIONAL
-            added.type = getattr(FieldDescriptorProto, f"TYPE_{of.upper()}", FieldDescriptorProto.TYPE_ENUM)
-            if added.type == FieldDescriptorProto.TYPE_ENUM:
-                added.type_name = f".mrac.{of}"
-    pool = descriptor_pool.DescriptorPool()
-    pool.Add(file)
-    return {name: message_factory.GetMessageClass(pool.FindMessageTypeByName(f"mrac.{name}")) for name in names}
-
-
-_MESSAGES = _messages()
-Start, Step, Event = _MESSAGES["Start"], _MESSAGES["Step"], _MESSAGES["Event"]
-End, Stats, Outcomes = _MESSAGES["End"], _MESSAGES["Stats"], _MESSAGES["Outcomes"]
+_POOL = descriptor_pool.DescriptorPool()
+_FILE = files("analysis.recording.viewers").joinpath("mrac.textproto").read_text(encoding="utf-8")
+_POOL.Add(text_format.Parse(_FILE, FileDescriptorProto()))
+Start, Step, Event, End, Stats, Outcomes = (
+    message_factory.GetMessageClass(_POOL.FindMessageTypeByName(f"mrac.{name}"))
+    for name in ("Start", "Step", "Event", "End", "Stats", "Outcomes")
+)
 
 
 GAP_SECONDS = 3.0
@@ -219,7 +191,7 @@ class Stage:
 
     world: World
     plan: Plan
-    loop: str
+    loop: Literal["closed", "open"]
     seed: int
     first_only: bool = False
 

@@ -1,10 +1,10 @@
-"""Environment steps per second: `python -m analysis.bench.environments`. 1,024 environments, 8 robots, 20x20 cells.
+"""Environment steps per second: `python docs/examples/bench_environments.py`.
 
-Random actions, 200 steps in one compiled scan, the best of several runs. For comparison, if installed: Jumanji's
-Cleaner (20x20, 8 agents), and STORM, JaxMARL's grid world with as many agents (its 8-agent arena). Columns: only
-rewards are read, so that the compiler removes observations; or observations too. Episodes restart (Cleaner: a new maze,
-by Jumanji's `AutoResetWrapper`); this project and Cleaner are also run without. Last: choices of areas per second of
-one environment in Python (`actions="areas"`), always the first offer.
+1,024 environments, 8 robots, 20x20 cells. Random actions, 200 steps in one compiled scan, the best of several runs. For
+comparison, if installed: Jumanji's Cleaner (20x20, 8 agents), and STORM, JaxMARL's grid world with as many agents (its
+8-agent arena). Columns: only rewards are read, so that the compiler removes observations; or observations too. Episodes
+restart (Cleaner: a new maze, by Jumanji's `AutoResetWrapper`); this project and Cleaner are also run without. Last:
+choices of areas per second of one environment in Python (`actions="areas"`), always the first offer.
 """
 
 from __future__ import annotations

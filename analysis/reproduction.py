@@ -321,7 +321,7 @@ class Reproduction(Swept):
             loop. seed: of the first map. finished: summary of the run.
     """
 
-    reported_by = "analysis.experiments.reproduction:report"
+    reported_by = "analysis.reproduction:report"
 
     figures: tuple[str, ...]
     points: dict[Setting, Point]
