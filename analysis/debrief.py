@@ -505,7 +505,7 @@ def _map(done: Debrief) -> CellMaps:
 
 def flown_geojson(done: Debrief) -> str:
     """A FeatureCollection of polygons: `kind` "flown", and "left" for each gap, with its cells, area and largest p."""
-    from analysis.exporting import polygons
+    from analysis.exporting.mission import polygons
 
     areas = [*connected(done.visited, done.world), *done.gaps]
     facts = [{"kind": "flown" if done.visited[cells[0]] else "left"} | as_json(done.row_of(number, cells))

@@ -1,0 +1,1 @@
+"""Exports of plans to ground stations, robots and GIS."""
