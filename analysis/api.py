@@ -553,14 +553,12 @@ def export(
         battery: wpml: minutes of flight with one battery; longer paths become several files.
         force: replace existing files; without it an existing file is an InputError, and nothing is written.
     """
-    from analysis.exporting.formats import choose_format
-    from analysis.exporting.formats import export as write
-    from analysis.exporting.mission import make_mission
+    from analysis.exporting import choose_format
+    from analysis.exporting import export as write
 
-    form = choose_format(Path(out), to)
-    ground = None if terrain is None else Path(terrain)
-    mission = make_mission(*plan_of(world, plan), altitude, speed, ground, battery)
-    return write(mission, Path(out), form, force=force)
+    form, ground = choose_format(Path(out), to), None if terrain is None else Path(terrain)
+    done = write(*plan_of(world, plan), Path(out), form, altitude, speed, ground, battery, force=force)
+    return done[0]
 
 
 # Mission execution.

@@ -23,7 +23,7 @@ from rasterio.features import rasterize
 import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.cli.options import COMMANDS
-from analysis.exporting.formats import FORMATS
+from analysis.exporting import FORMATS
 from analysis.exporting.mission import cut_area, cut_line, make_mission, outlines, straight_runs
 from planner.errors import InputError, MapError, PlanError, UsageError
 from planner.plan.plan import Plan, RobotPlan

@@ -38,8 +38,8 @@ ALTITUDE = option(OUTPUT, "qgc, wpml: metres above take-off, 0 for ground robots
 )  # fmt: skip
 def plan(source: INPUT, /, given: Given) -> int:
     """The plan of a team: print it, and write it as a file or as waypoints."""
-    from analysis.exporting.formats import choose_format, export
-    from analysis.exporting.mission import make_mission
+    from analysis.exporting import choose_format
+    from analysis.exporting import export as write
     from analysis.inputs import read_files
 
     out, waypoints, state = given.out, given.waypoints, given.state
@@ -53,9 +53,10 @@ def plan(source: INPUT, /, given: Given) -> int:
     world, made = given.planned(source, seconds=given.seconds, first=first)
     written = [] if out is None else [out]
     if waypoints is not None and form is not None:
-        mission = make_mission(world, made, given.altitude, given.speed)
-        written += export(mission, waypoints, form, spare=read_files(source, state, out))
-        say(form.notes(mission))
+        spare = read_files(source, state, out)
+        files, notes = write(world, made, waypoints, form, given.altitude, given.speed, spare=spare)
+        written += files
+        say(notes)
     if out is not None:
         made.save(out, force=True)
     if given.json:
@@ -79,17 +80,15 @@ def export(source: INPUT, /, given: Given) -> int:
     nav2_route, csv and geotiff need a georeferenced map. Robots move at --speed, or a cell per --step-seconds (default:
     3 m/s).
     """
-    from analysis.exporting.formats import choose_format
-    from analysis.exporting.formats import export as export_mission
-    from analysis.exporting.mission import make_mission
+    from analysis.exporting import choose_format
+    from analysis.exporting import export as write
     from analysis.inputs import read_files
 
     form = choose_format(given.out, given.to)
-    world, made = given.planned(source)
-    mission = make_mission(world, made, given.altitude, given.speed, given.terrain, given.battery)
     spare = read_files(source, given.plan, given.state, given.terrain)
-    written = export_mission(mission, given.out, form, spare=spare)
-    say([*form.notes(mission), *(f"wrote {file}" for file in written)])
+    flown = given.altitude, given.speed, given.terrain, given.battery
+    files, notes = write(*given.planned(source), given.out, form, *flown, spare=spare)
+    say([*notes, *(f"wrote {file}" for file in files)])
     return console.DONE
 
 

@@ -6,7 +6,6 @@ import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
-from typing import Any
 from uuid import NAMESPACE_URL, uuid5
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
@@ -14,7 +13,7 @@ from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 import numpy as np
 from scipy import ndimage
 
-from analysis.exporting.mission import KML, Feature, Mission, Stop, colour_of, features, polygons
+from analysis.exporting.mission import KML, Feature, Mission, Position, Stop, colour_of, features, polygons
 from analysis.utils.tables import json_text
 from planner.arguments import Numbers, argument
 from planner.errors import PlanError, UsageError
@@ -142,24 +141,17 @@ def qgc_plan(mission: Mission, robot: int) -> str:
     drives, ground = mission.altitude == 0, mission.terrain
     frame = ABOVE_HOME if ground is None else ABOVE_TERRAIN
     items: list[Json] = [_item(CHANGE_SPEED, NO_PLACE, [1, mission.speed, -1, 0, 0, 0, 0])]
-
-    def add(command: int, hold: float, stop: Stop, east: float, north: float) -> None:
-        item = _item(command, frame, [hold, 0, 0, None, north, east, mission.altitude])
-        above_sea = None if ground is None else round(float(ground.flat[stop.cell]) + mission.altitude, 2)
-        items.append(
-            item | {"AMSLAltAboveTerrain": above_sea, "Altitude": mission.altitude, "AltitudeMode": MODES[frame]}
-        )
-
     for number, (stop, (east, north)) in enumerate(zip(stops, places, strict=True)):
+        above_sea = None if ground is None else round(float(ground.flat[stop.cell]) + mission.altitude, 2)
+        heights = {"AMSLAltAboveTerrain": above_sea, "Altitude": mission.altitude, "AltitudeMode": MODES[frame]}
         takes_off = number == 0 and not drives
-        if takes_off:
-            add(TAKE_OFF, 0.0, stop, east, north)
-        if not takes_off or stop.waits:
-            add(WAYPOINT, stop.waits * mission.step_seconds, stop, east, north)
+        for command in [TAKE_OFF] * takes_off + [WAYPOINT] * (not takes_off or stop.waits > 0):
+            hold = stop.waits * mission.step_seconds * (command == WAYPOINT)
+            items.append(_item(command, frame, [hold, 0, 0, None, north, east, mission.altitude]) | heights)
     for number, item in enumerate(items, start=1):
         item["doJumpId"] = number
     (east, north), *_ = places
-    bases = mission.lonlat(mission.bases).tolist() if len(mission.bases) else []
+    bases = mission.lonlat(mission.bases).tolist()
     content = {
         "fileType": "Plan",
         "geoFence": {"circles": [], "polygons": _fence(mission, stops[0].cell), "version": 2},
@@ -292,18 +284,21 @@ def _kmz(mission: Mission, robot: int, stops: Sequence[Stop]) -> bytes:
         heights, highest = heights + rise.flat[cells], highest + max(float(np.nanmax(rise)), 0.0)
     config = CONFIG | {"takeOffSecurityHeight": round(highest, 2), "globalTransitionalSpeed": mission.speed}
     config |= {"globalRTHHeight": round(highest, 2), "droneInfo": DRONE}
-    flown: list[Json] = []
-    for number, (stop, (east, north), height) in enumerate(
-        zip(stops, mission.lonlat(cells).tolist(), np.round(heights, 2).tolist(), strict=True)
-    ):
-        place = {"Point": {"coordinates": f"{east:.9f},{north:.9f}"}, "index": number, "executeHeight": height}
-        own: Json = {"waypointSpeed": mission.speed, "waypointHeadingParam": HEADING, "waypointTurnParam": TURN}
-        waits = _hover(number, stop.waits * mission.step_seconds) if stop.waits else {}
-        flown.append(place | own | {"useStraightLine": 1} | waits)
+    flown = [
+        {"Point": {"coordinates": f"{east:.9f},{north:.9f}"}, "index": number, "executeHeight": height}
+        | {"waypointSpeed": mission.speed, "waypointHeadingParam": HEADING, "waypointTurnParam": TURN}
+        | {"useStraightLine": 1} | (_hover(number, stop.waits * mission.step_seconds) if stop.waits else {})
+        for number, (stop, (east, north), height) in enumerate(
+            zip(stops, mission.lonlat(cells).tolist(), np.round(heights, 2).tolist(), strict=True)
+        )
+    ]  # fmt: skip
     folder: Json = {"templateId": 0, "waylineId": 0, "executeHeightMode": "relativeToStartPoint"}
     folder |= {"autoFlightSpeed": mission.speed, "Placemark": flown}
-    both = {"missionConfig": config}
-    return zipped({"wpmz/template.kml": _wpml(both), "wpmz/waylines.wpml": _wpml(both | {"Folder": folder})})
+    contents = {"template.kml": {"missionConfig": config}, "waylines.wpml": {"missionConfig": config, "Folder": folder}}
+    spaces = {"@xmlns": KML, "@xmlns:wpml": WPML}
+    return zipped({
+        f"wpmz/{name}": xml_text("kml", spaces | {"Document": content}, "wpml:") for name, content in contents.items()
+    })  # fmt: skip
 
 
 def _hover(number: int, seconds: float) -> Json:
@@ -314,31 +309,36 @@ def _hover(number: int, seconds: float) -> Json:
     return {"actionGroup": group | when | {"action": act}}
 
 
-def _wpml(content: Json) -> str:
-    top = Element("kml", {"xmlns": KML, "xmlns:wpml": WPML})
-    _fill(SubElement(top, "Document"), content)
-    return xml_text(top)
+# XML files from mappings, and ZIP archives of texts.
+
+OF_KML = ("Document", "Folder", "Placemark", "Point", "coordinates")
+"""Elements that keep their names where all others have a prefix."""
 
 
-def _fill(parent: Element, content: Mapping[str, Any]) -> None:
-    """Add elements by name: a mapping has elements of its own, a list is an element each."""
-    for name, value in content.items():
-        for one in value if isinstance(value, list) else [value]:
-            child = SubElement(parent, name if name in OF_KML else f"wpml:{name}")
-            if isinstance(one, Mapping):
-                _fill(child, one)
-            else:
-                child.text = str(one)
+def xml_text(name: str, content: Json, prefix: str = "") -> str:
+    """The text of an XML file with this top element.
 
-
-OF_KML = ("Folder", "Placemark", "Point", "coordinates")
-"""Elements of KML; all others are DJI's."""
-
-
-def xml_text(top: Element) -> str:
-    """The text of an XML file."""
+    Args:
+        name: of the element.
+        content: by name of an element its content: a text or number, a mapping, or a list of these, an element each.
+            "@name" is an attribute, "#" the text beside attributes.
+        prefix: of the elements that are not KML's.
+    """
+    top = Element(name)
+    _fill(top, content, prefix)
     indent(top, " ")
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(top, encoding="unicode") + "\n"
+
+
+def _fill(parent: Element, content: object, prefix: str) -> None:
+    for name, value in (content if isinstance(content, Mapping) else {"#": content}).items():
+        if name == "#":
+            parent.text = str(value)
+        elif name.startswith("@"):
+            parent.set(name[1:], str(value))
+        else:
+            for one in value if isinstance(value, list) else [value]:
+                _fill(SubElement(parent, name if name in OF_KML else f"{prefix}{name}"), one, prefix)
 
 
 def zipped(files: Mapping[str, str]) -> bytes:
@@ -362,69 +362,56 @@ def cot(mission: Mission) -> bytes:
 
     Identifiers follow from the map and the name, so that a later package replaces an earlier one's events.
     """
-    now = datetime.now(UTC)
-    events: dict[str, Event] = {}
-    for number, (east, north) in enumerate(mission.lonlat(mission.bases).tolist() if len(mission.bases) else []):
-        icon = ("usericon", {"iconsetpath": "COT_MAPPING_SPOTMAP/b-m-p-s-m/-1"})
-        events[f"base {number}"] = ("b-m-p-s-m", [[east, north]], [icon], {})
+    icon = {"usericon": {"@iconsetpath": "COT_MAPPING_SPOTMAP/b-m-p-s-m/-1"}}
+    bases = mission.lonlat(mission.bases).tolist()
+    shapes: list[tuple[str, Position, str, Json, Json]] = [
+        (f"base {number}", place, "b-m-p-s-m", icon, {}) for number, place in enumerate(bases)
+    ]
     for feature in features(mission):
         for number, part in enumerate(feature.parts):
             name = feature.name if len(feature.parts) == 1 else f"{feature.name}.{number}"
-            events[name] = _shape(name, feature, part[0])
-    files, listed = {}, Element("Contents")
-    for name, event in events.items():
-        uid = str(uuid5(NAMESPACE_URL, f"mrac-jax:{mission.world.sha256}:{name}"))
-        files[f"{uid}/{uid}.cot"] = xml_text(_event(uid, name, now, *event))
-        entry = SubElement(listed, "Content", ignore="false", zipEntry=f"{uid}/{uid}.cot")
-        SubElement(entry, "Parameter", name="uid", value=uid)
-    manifest = Element("MissionPackageManifest", version="2")
-    settings = SubElement(manifest, "Configuration")
-    package = str(uuid5(NAMESPACE_URL, f"mrac-jax:{mission.world.sha256}"))
-    for key, value in {"uid": package, "name": mission.world.name, "onReceiveImport": "true"}.items():
-        SubElement(settings, "Parameter", name=key, value=value)
-    manifest.append(listed)
-    return zipped({"MANIFEST/manifest.xml": xml_text(manifest)} | files)
+            look = _area(feature, part[0]) if feature.is_area else _route(feature, part[0], name)
+            shapes.append((name, part[0][0], *look, feature.facts))
+    package, files, entries, now = f"mrac-jax:{mission.world.sha256}", {}, [], datetime.now(UTC)
+    moments = {"time": now, "start": now, "stale": now + timedelta(days=STALE_DAYS)}
+    times = {f"@{key}": moment.strftime("%Y-%m-%dT%H:%M:%SZ") for key, moment in moments.items()}
+    for name, (east, north), kind, details, facts in shapes:
+        uid = uuid5(NAMESPACE_URL, f"{package}:{name}")
+        entry = {"@ignore": "false", "@zipEntry": f"{uid}/{uid}.cot", "Parameter": {"@name": "uid", "@value": uid}}
+        entries.append(entry)
+        point = {"@lat": f"{north:.9f}", "@lon": f"{east:.9f}"} | dict.fromkeys(("@hae", "@ce", "@le"), UNKNOWN)
+        remarks = ", ".join(f"{key} {value}" for key, value in facts.items() if value is not None)
+        details = details | {"contact": {"@callsign": name}, "remarks": remarks, "archive": {}}
+        event = {"@version": "2.0", "@uid": uid, "@type": kind, "@how": "h-e"} | times
+        files[f"{uid}/{uid}.cot"] = xml_text("event", event | {"point": point, "detail": details})
+    settings = {"uid": uuid5(NAMESPACE_URL, package), "name": mission.world.name, "onReceiveImport": "true"}
+    listed = {"Parameter": [{"@name": key, "@value": value} for key, value in settings.items()]}
+    manifest = {"@version": "2", "Configuration": listed, "Contents": {"Content": entries}}
+    return zipped({"MANIFEST/manifest.xml": xml_text("MissionPackageManifest", manifest)} | files)
 
 
-Event = tuple[str, list[list[float]], list[tuple[str, dict[str, str]]], Json]
-"""Type, places (longitude, latitude), elements of its detail, and facts."""
-
-
-def _shape(name: str, feature: Feature, places: list[list[float]]) -> Event:
-    """An area as a closed free form, or a path as a route of check points."""
+def _colours(feature: Feature) -> tuple[int, int]:
+    """The colour of its robot, solid and pale: TAK's are 32-bit integers with a sign, alpha first."""
     red_green_blue = int(colour_of(feature)[1:], 16)
-    # TAK's colours are 32-bit integers with a sign, alpha first.
-    solid, pale = str(red_green_blue - 2**24), str(red_green_blue | 0x40 << 24)
-    if feature.is_area:
-        links = [("link", {"point": f"{north:.9f},{east:.9f}"}) for east, north in places]
-        look = [("strokeColor", {"value": solid}), ("strokeWeight", {"value": "2.0"}), ("fillColor", {"value": pale})]
-        return "u-d-f", places, [*links, *look, ("labels_on", {"value": "false"})], feature.facts
-    ends = {0: "SP", len(places) - 1: "EP"}
-    links = []
-    for number, (east, north) in enumerate(places):
-        point = {"uid": f"{name}-{number}", "callsign": ends.get(number, ""), "relation": "c"}
-        kind = "b-m-p-w" if number in ends else "b-m-p-c"
-        links.append(("link", point | {"type": kind, "point": f"{north:.9f},{east:.9f},{UNKNOWN}"}))
-    attributes = {"color": solid, "method": "Flying", "prefix": "CP", "direction": "Infil", "routetype": "Primary"}
-    route = ("link_attr", attributes | {"order": "Ascending Check Points", "stroke": "3"})
-    return "b-m-r", places, [*links, route, ("__routeinfo", {})], feature.facts
+    return red_green_blue - 2**24, red_green_blue | 0x40 << 24
 
 
-def _event(
-    uid: str, name: str, now: datetime, kind: str, places: list[list[float]],
-    details: list[tuple[str, dict[str, str]]], facts: Json,
-) -> Element:  # fmt: skip
-    stamps = {"time": now, "start": now, "stale": now + timedelta(days=STALE_DAYS)}
-    times = {key: moment.strftime("%Y-%m-%dT%H:%M:%SZ") for key, moment in stamps.items()}
-    event = Element("event", {"version": "2.0", "uid": uid, "type": kind, "how": "h-e"} | times)
-    (east, north), *_ = places
-    SubElement(event, "point", lat=f"{north:.9f}", lon=f"{east:.9f}", hae=UNKNOWN, ce=UNKNOWN, le=UNKNOWN)
-    detail = SubElement(event, "detail")
-    for element, attributes in details:
-        SubElement(detail, element, attributes)
-    SubElement(detail, "contact", callsign=name)
-    SubElement(detail, "remarks").text = ", ".join(
-        f"{key} {value}" for key, value in facts.items() if value is not None
-    )
-    SubElement(detail, "archive")
-    return event
+def _area(feature: Feature, ring: list[Position]) -> tuple[str, Json]:
+    """An area as a closed free form: its type, and its details."""
+    solid, pale = _colours(feature)
+    links = [{"@point": f"{north:.9f},{east:.9f}"} for east, north in ring]
+    look = {"strokeColor": solid, "strokeWeight": "2.0", "fillColor": pale, "labels_on": "false"}
+    return "u-d-f", {"link": links} | {name: {"@value": value} for name, value in look.items()}
+
+
+def _route(feature: Feature, line: list[Position], name: str) -> tuple[str, Json]:
+    """A path as a route of check points: its type, and its details."""
+    ends = {0: "SP", len(line) - 1: "EP"}
+    links = [
+        {"@uid": f"{name}-{number}", "@callsign": ends.get(number, ""), "@relation": "c"}
+        | {"@type": "b-m-p-w" if number in ends else "b-m-p-c", "@point": f"{north:.9f},{east:.9f},{UNKNOWN}"}
+        for number, (east, north) in enumerate(line)
+    ]
+    look = {"@color": _colours(feature)[0], "@method": "Flying", "@prefix": "CP", "@direction": "Infil"}
+    look |= {"@routetype": "Primary", "@order": "Ascending Check Points", "@stroke": "3"}
+    return "b-m-r", {"link": links, "link_attr": look, "__routeinfo": {}}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from math import isfinite
@@ -63,13 +63,6 @@ class Mission:
     speed: float
     terrain: NDArray[np.float64] | None = None
     battery: float | None = None
-
-    def check(self) -> None:
-        """Raise UsageError for an altitude or speed out of range, PlanError for a plan of another map."""
-        Numbers(0, HIGHEST, "metres above the ground").check("altitude", self.altitude)
-        SPEEDS.check("speed", self.speed)
-        MINUTES.check("battery", self.battery, optional=True)
-        self.plan.require(self.world)
 
     @cached_property
     def exact(self) -> OpenLoopExact:
@@ -141,14 +134,19 @@ def make_mission(
 ) -> Mission:
     """A checked mission. None: ALTITUDE; the speed that the world implies, else SPEED; level ground; no limit.
 
-    Raises InputError: also for a raster `terrain` without heights somewhere on the paths.
+    Raises InputError: an altitude, speed or battery out of range, a plan of another map, a raster `terrain` without
+    heights somewhere on the paths.
     """
     if speed is None:
         speed = SPEED if world.pace.seconds is None else world.cell_size / world.pace.seconds
-    mission = Mission(world, plan, ALTITUDE if altitude is None else altitude, speed, battery=battery)
-    # Check before any file is opened.
-    mission.check()
-    return mission if terrain is None else replace(mission, terrain=ground_heights(world, plan, terrain))
+    altitude = ALTITUDE if altitude is None else altitude
+    Numbers(0, HIGHEST, "metres above the ground").check("altitude", altitude)
+    SPEEDS.check("speed", speed)
+    MINUTES.check("battery", battery, optional=True)
+    plan.require(world)
+    # The raster is opened after these checks.
+    ground = None if terrain is None else ground_heights(world, plan, terrain)
+    return Mission(world, plan, altitude, speed, ground, battery)
 
 
 def ground_heights(world: World, plan: Plan, raster: Path) -> NDArray[np.float64]:

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from planner.arguments import Numbers, argument, did_you_mean, whole
 from planner.errors import MapError
-from planner.files import Json, check_file, check_size, library_errors, read_json, why_no_file
+from planner.files import Json, check_file, check_size, damage_reported, library_errors, mapped, read_json, why_no_file
 from planner.formatting import counted
-from planner.mcap import damage_reported, mapped
 from planner.world.frame import Frame
 from planner.world.grid import FREE, OCCUPIED, UNKNOWN, Grid, occupied
 from planner.world.image_files import SUFFIXES as IMAGES

@@ -469,9 +469,9 @@ class Table(NamedTuple):
             raise MapError(problem, source=self.path, expected=f"metres, none beyond {far:g}")
         return value
 
-    def places(self, columns: Sequence[int]) -> NDArray[np.float64]:
-        """Two coordinates per line, float64 `[lines, 2]`."""
-        both = list(zip(columns, ("x", "y"), strict=True))
+    def places(self, columns: Sequence[int], names: tuple[str, str] = ("x", "y")) -> NDArray[np.float64]:
+        """Two coordinates per line, float64 `[lines, 2]`; their names are for messages."""
+        both = list(zip(columns, names, strict=True))
         return np.array([[self.number(row, at, name, FARTHEST) for at, name in both] for row in self.rows])
 
     def lonlat(self, columns: Sequence[int]) -> NDArray[np.float64]:

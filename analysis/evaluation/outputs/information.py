@@ -324,7 +324,7 @@ class Experience(Output):
         ]
         files: dict[str, Callable[[], str | bytes]] = {}
         if find_spec("rasterio") is not None:
-            from analysis.exporting.formats import raster
+            from analysis.exporting import raster
 
             bands = np.stack([self.prior, self.posterior, self.entropy])
             files["posterior.tif"] = lambda: raster(self.world, BANDS, bands)
