@@ -11,16 +11,14 @@ from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
-from mcap.reader import NonSeekingReader
 from numpy.typing import NDArray
 
 from planner.errors import MapError
-from planner.files import check_size, damage_reported, library_errors, mapped, read_json
+from planner.files import check_size, damage_reported, library_errors, read_json
 from planner.plan.state_file import TRACK_STATUS, Track, metres, moment, tracks_of
 from planner.simulator.codes import Doing
 from planner.world.frame import WGS84
-from planner.world.map_files import MAX_BYTES as MOST_LOGGED
-from planner.world.map_files import is_bag, log_files
+from planner.world.map_files import is_bag, log_files, log_messages
 from planner.world.points import read_table
 from planner.world.world import World
 
@@ -138,14 +136,13 @@ def _log(path: Path, world: World) -> Found:
     held: dict[str, list[tuple[float, float, float]]] = {}
     crs: dict[str, str] = {}
     for file in files:
-        check_size(file, MOST_LOGGED, MapError, "a log", "cut the poses' topics out")
-        reader = NonSeekingReader(mapped(file, MapError), validate_crcs=True)
+        # What is read of a message may be damaged too.
         with damage_reported(file, MapError):
-            for schema, channel, message in reader.iter_messages(log_time_order=False):
+            for kind, channel, message in log_messages(file, "cut the poses' topics out"):
                 if channel.topic == "/rollout/start":
                     break
-                if schema is not None and schema.name in POSES:
-                    crs[channel.topic], decode = POSES[schema.name]
+                if kind in POSES:
+                    crs[channel.topic], decode = POSES[kind]
                     held.setdefault(channel.topic, []).append((message.log_time / 1e9, *decode(message.data)))
             else:
                 continue

@@ -419,9 +419,7 @@ def test_tracks_on_a_georeferenced_map_may_be_in_degrees(tmp_path: Path) -> None
     (tmp_path / "u.csv").write_text((tmp_path / "t.csv").read_text().replace("lon,lat", "lat,lon"))
     with pytest.raises(InputError, match=r"u\.csv: latitude stands first, as in 52\.000.*, 8\.000.*swap"):
         read_state(tmp_path / "u.csv", world)
-    with pytest.raises(
-        InputError, match="in EPSG:4326, and the map has no georeference; give columns x and y"
-    ):
+    with pytest.raises(InputError, match="in EPSG:4326, and the map has no georeference; give columns x and y"):
         read_state(tmp_path / "t.csv", WORLD)
 
 

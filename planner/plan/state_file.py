@@ -376,8 +376,8 @@ def tracks_of(table: Table, world: World) -> list[Track]:
     """
     which, status, clock = table.column("robot"), table.column("status"), table.column("step", *TIMES)
     if which is None:
-        problem = f"has the columns {', '.join(table.names)[:80]}" if table.names else "has no header"
-        raise MapError(problem, source=table.path, expected="robot, a time or step, and row, col or x, y or lon, lat")
+        expected = "robot, a time or step, and row, col or x, y or lon, lat"
+        raise MapError(table.described, source=table.path, expected=expected)
     points, times = _places(table, world), None if clock is None else _times(table, clock)
     rows: dict[str, list[int]] = {}
     for number, (_, row) in enumerate(table.rows):
@@ -426,23 +426,20 @@ def moment(text: str) -> float:
 
 def _places(table: Table, world: World) -> NDArray[np.float64]:
     """(x, y) of every line in the map's frame, float64 `[lines, 2]`."""
-    if (cells := _cell_columns(table)) is not None:
+    if cells := cell_columns(table):
         return world.at(*(table.places(cells, ("row", "col")) + 0.5).T)
     for names, crs in (((X, Y), ""), ((LONGITUDE, LATITUDE), WGS84)):
-        columns = [column for column in (table.column(*of) for of in names) if column is not None]
-        if len(columns) == 2:
+        if columns := table.columns(*names):
             return metres(table.lonlat(columns) if crs else table.places(columns), crs, world, table.path)
-    said = ", ".join(table.names)[:80] if table.names else f"{len(table.rows[0][1])} of them, without a header"
     expected = "row and col, or x and y in metres, or lon and lat"
-    raise MapError(f"has the columns {said}", source=table.path, expected=expected)
+    raise MapError(table.described, source=table.path, expected=expected)
 
 
-def _cell_columns(table: Table) -> tuple[int, int] | None:
-    """The columns of row and col: the two of a table without a header."""
-    if not table.names:
-        return (0, 1) if len(table.rows[0][1]) == 2 else None
-    row, col = table.column("row"), table.column("col", "column")
-    return None if row is None or col is None else (row, col)
+def cell_columns(table: Table) -> list[int]:
+    """The columns of row and col, the two of a table without a header; []: none."""
+    if not table.names and len(table.rows[0][1]) == 2:
+        return [0, 1]
+    return table.columns(["row"], ["col", "column"])
 
 
 def metres(points: NDArray[np.float64], crs: str, world: World, path: Path) -> NDArray[np.float64]:
@@ -461,7 +458,7 @@ def metres(points: NDArray[np.float64], crs: str, world: World, path: Path) -> N
         raise MapError(error.problem, source=path, expected=error.expected, fix=error.fix) from error
 
 
-def _check_cells(table: Table, cells: tuple[int, int], world: World) -> None:
+def _check_cells(table: Table, cells: list[int], world: World) -> None:
     """Check rows and columns: they are exact, so that a wrong one is an error, where measured metres are left out."""
     places = table.places(cells, ("row", "col"))
     wrong = (places != np.rint(places)).any(axis=1) | ~((places >= 0) & (places < world.shape)).all(axis=1)
@@ -477,7 +474,7 @@ def _check_cells(table: Table, cells: tuple[int, int], world: World) -> None:
 def _listed(path: Path, world: World) -> Found:
     """Visited cells, or tracks if a column names the robots: each is at the place of its last line."""
     table = read_table(path, "lines row, col, or robot, row, col")
-    if (columns := _cell_columns(table)) is not None:
+    if columns := cell_columns(table):
         _check_cells(table, columns, world)
     named = table.column("robot") is not None
     tracks = tracks_of(table, world) if named else [Track("", None, _places(table, world))]
