@@ -73,38 +73,32 @@ def nav2_route(mission: Mission) -> str:
     if len(areas) < 2:
         problem, fix = f"the plan has {len(areas)} areas", "export a plan of the closed loop on a larger map"
         raise PlanError(problem, expected="two areas or more, the nodes of a graph", fix=fix)
-    graph, area_of = world.to_networkx(), np.full(world.shape, -1)
-    middles: list[tuple[int, int]] = []
-    for number, area in enumerate(areas):
-        cells = np.stack(np.divmod(area.cells, world.shape[1]), axis=1)
-        area_of[tuple(cells.T)] = number
-        middle = cells[np.square(cells - cells.mean(axis=0)).sum(axis=1).argmin()]
-        middles.append((int(middle[0]), int(middle[1])))
-    nodes: list[Json] = []
-    edges: list[Json] = []
-    for number, (row, col) in enumerate(middles):
-        facts: Json = {"level": areas[number].level, "cells": len(areas[number].cells)}
-        point = {"type": "Point", "coordinates": _metres(mission, [(row, col)])[0]}
-        nodes.append(_feature(point, {"id": number, "frame": "map", "metadata": facts}))
-    touching = {(int(area_of[one]), int(area_of[other])) for one, other in graph.edges}
+    graph = world.to_networkx()
+    cells = [np.stack(np.divmod(area.cells, world.shape[1]), axis=1) for area in areas]
+    nearest = (own[np.square(own - own.mean(axis=0)).sum(axis=1).argmin()] for own in cells)
+    middles = [(int(row), int(col)) for row, col in nearest]
+    area_of = {(row, col): number for number, own in enumerate(cells) for row, col in own.tolist()}
+    found: list[Json] = []
+    for number, (area, middle) in enumerate(zip(areas, middles, strict=True)):
+        node: Json = {"id": number, "frame": "map", "metadata": {"level": area.level, "cells": len(area.cells)}}
+        found.append(_feature("Point", _metres(mission, [middle])[0], node))
+    touching = {(area_of.get(one, -1), area_of.get(other, -1)) for one, other in graph.edges}
     for first, last in sorted((one, other) for one, other in touching if min(one, other) >= 0 and one != other):
-        held = np.concatenate([areas[first].cells, areas[last].cells])
-        part = graph.subgraph([divmod(int(cell), world.shape[1]) for cell in held])
+        part = graph.subgraph([*map(tuple, np.concatenate([cells[first], cells[last]]).tolist())])
         way = nx.shortest_path(part, middles[first], middles[last], lambda _, __, edge: edge["hazard"] + SHORTER)
         hazard = sum(part.edges[edge]["hazard"] for edge in nx.utils.pairwise(way))
-        metadata = {"survival": math.exp(-hazard), "penalty": hazard, "length": (len(way) - 1) * world.cell_size}
-        ends = {"id": len(nodes) + len(edges), "startid": first, "endid": last}
-        line = {"type": "MultiLineString", "coordinates": [_metres(mission, way)]}
-        edges.append(_feature(line, ends | {"cost": 0.0, "overridable": True, "metadata": metadata}))
-    return json_text({"type": "FeatureCollection", "name": "areas", "features": nodes + edges})
+        facts = {"survival": math.exp(-hazard), "penalty": hazard, "length": (len(way) - 1) * world.cell_size}
+        ends: Json = {"id": len(found), "startid": first, "endid": last, "cost": 0.0, "overridable": True}
+        found.append(_feature("MultiLineString", [_metres(mission, way)], ends | {"metadata": facts}))
+    return json_text({"type": "FeatureCollection", "name": "areas", "features": found})
 
 
 SHORTER = 1e-9
 """Hazard added to each move, so that the shortest of equally safe ways is taken."""
 
 
-def _feature(geometry: Json, properties: Json) -> Json:
-    return {"type": "Feature", "geometry": geometry, "properties": properties}
+def _feature(kind: str, coordinates: object, properties: Json) -> Json:
+    return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates}, "properties": properties}
 
 
 def _metres(mission: Mission, cells: Sequence[tuple[int, int]]) -> list[list[float]]:
@@ -151,24 +145,13 @@ def qgc_plan(mission: Mission, robot: int) -> str:
     for number, item in enumerate(items, start=1):
         item["doJumpId"] = number
     (east, north), *_ = places
-    bases = mission.lonlat(mission.bases).tolist()
-    content = {
-        "fileType": "Plan",
-        "geoFence": {"circles": [], "polygons": _fence(mission, stops[0].cell), "version": 2},
-        "groundStation": "QGroundControl",
-        "mission": {
-            "cruiseSpeed": mission.speed,
-            "firmwareType": PX4 if ground is None else ARDUPILOT,
-            "globalPlanAltitudeMode": MODES[frame],
-            "hoverSpeed": mission.speed,
-            "items": items,
-            "plannedHomePosition": [north, east, 0],
-            "vehicleType": ROVER if drives else COPTER,
-            "version": 2,
-        },
-        "rallyPoints": {"points": [[lat, lon, mission.altitude] for lon, lat in bases], "version": 2},
-        "version": 1,
-    }
+    rally = [[latitude, longitude, mission.altitude] for longitude, latitude in mission.lonlat(mission.bases).tolist()]
+    flown: Json = {"cruiseSpeed": mission.speed, "hoverSpeed": mission.speed, "globalPlanAltitudeMode": MODES[frame]}
+    flown |= {"firmwareType": PX4 if ground is None else ARDUPILOT, "vehicleType": ROVER if drives else COPTER}
+    flown |= {"items": items, "plannedHomePosition": [north, east, 0], "version": 2}
+    content: Json = {"fileType": "Plan", "groundStation": "QGroundControl", "mission": flown, "version": 1}
+    content["geoFence"] = {"circles": [], "polygons": _fence(mission, stops[0].cell), "version": 2}
+    content["rallyPoints"] = {"points": rally, "version": 2}
     return json_text(content)
 
 
@@ -201,10 +184,8 @@ MOST_WAYPOINTS = 99
 """Waypoints of a file: the format allows 65,536, but DJI Fly on consumer drones fails beyond 99."""
 BENT = 1.0
 """Metres by which the ground may leave the straight line between two waypoints."""
-OF_DJI = {
-    "altitude": Numbers(2, 1500, "metres above the ground for wpml"),
-    "speed": Numbers(0, 15, "m/s for wpml", above=True),
-}
+HEIGHTS, SPEEDS = Numbers(2, 1500, "metres above the ground for wpml"), Numbers(0, 15, "m/s for wpml", above=True)
+"""That DJI drones fly at."""
 CONFIG: Json = {
     "flyToWaylineMode": "safely", "finishAction": "goHome", "exitOnRCLost": "executeLostAction",
     "executeRCLostAction": "goBack",
@@ -221,8 +202,8 @@ def wpml(mission: Mission) -> dict[str, bytes]:
     Heights are metres above the take-off position; with a terrain, waypoints are added where the ground bends. Robots
     that do not move have no file. Raises UsageError: altitude, speed, or a battery too short for one straight run.
     """
-    for name, numbers in OF_DJI.items():
-        numbers.check(name, getattr(mission, name))
+    HEIGHTS.check("altitude", mission.altitude)
+    SPEEDS.check("speed", mission.speed)
     files = {}
     for robot in range(len(mission.plan.robots)):
         flights = list(_flights(mission, robot))

@@ -254,17 +254,16 @@ def outlines(areas: list[NDArray[np.int64]], shape: tuple[int, int]) -> list[lis
     return [[np.array(ring, dtype=np.int64)[:, ::-1] for ring in rings[n]] for n in range(1, len(areas) + 1)]
 
 
-def polygons(world: World, areas: list[NDArray[np.int64]], called: str = "area") -> list[list[list[list[Position]]]]:
+def polygons(world: World, areas: list[NDArray[np.int64]]) -> list[list[list[list[Position]]]]:
     """The parts of each area (cells) in longitude and latitude: closed rings, outer ring first.
 
-    Raises MapError for a map without georeference, and for an area over a pole, which has no such ring; `called`: its
-    name in the message.
+    Raises MapError for a map without georeference, and for an area over a pole, which has no such ring.
     """
     found = []
     for number, borders in enumerate(outlines(areas, world.shape)):
         rings = [on_earth(world, world.at(*ring.T)) for ring in borders]
         if any(over_a_pole(ring) for ring in rings):
-            problem = f"{called} {number} lies over a pole, and cannot be written in longitude and latitude"
+            problem = f"area {number} lies over a pole, and cannot be written in longitude and latitude"
             fix = "export .tif or .csv, in the map's metres, or .gpx, which holds no areas"
             raise MapError(problem, source=world.source, expected="no area over a pole", fix=fix)
         found.append([[rounded(ring).tolist() for ring in part] for part in cut_area(rings)])

@@ -474,16 +474,9 @@ def find_starts(
         fresh = {place: field.race.confirm(field.contender(place)) for place in {field.best, *field.now}}
     field.exact = field.race.exact
     field.notes += notes + (() if field.now else (ELSEWHERE,)) + screened(settings, world)
-    answer = Starts(
-        **field.fields(),
-        depot=depot,
-        places=field.figures(),
-        best=field.best,
-        candidates=cells,
-        rolled=field.race.rolled + sum(found.rollouts for found in fresh.values()),
-        gain=field.gain(fresh),
-        words=tuple(words),
-    )
+    rolled = field.race.rolled + sum(found.rollouts for found in fresh.values())
+    found = {"depot": depot, "places": field.figures(), "best": field.best, "candidates": cells, "rolled": rolled}
+    answer = Starts(**field.fields(), **found, gain=field.gain(fresh), words=tuple(words))
     at = answer.here if answer.chosen is not answer.places[answer.best] else answer.best
     return answer if at not in fresh else replace(answer, confirmed=field.known(answer.chosen, fresh[at]))
 
