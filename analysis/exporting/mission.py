@@ -33,8 +33,6 @@ DEGREES = 9
 """Decimals of longitude and latitude: a tenth of a millimetre."""
 ALTITUDE, SPEED = 20.0, 3.0
 """Defaults: metres above the take-off position, and metres a second."""
-HIGHEST = 10_000.0
-MINUTES = Numbers(0, 10_000, "minutes", above=True)
 
 
 class Stop(NamedTuple):
@@ -140,9 +138,9 @@ def make_mission(
     if speed is None:
         speed = SPEED if world.pace.seconds is None else world.cell_size / world.pace.seconds
     altitude = ALTITUDE if altitude is None else altitude
-    Numbers(0, HIGHEST, "metres above the ground").check("altitude", altitude)
+    Numbers(0, 10_000, "metres above the ground").check("altitude", altitude)
     SPEEDS.check("speed", speed)
-    MINUTES.check("battery", battery, optional=True)
+    Numbers(0, 10_000, "minutes", above=True).check("battery", battery, optional=True)
     plan.require(world)
     # The raster is opened after these checks.
     ground = None if terrain is None else ground_heights(world, plan, terrain)
