@@ -407,6 +407,13 @@ def test_missions_take_off_hold_and_drive(tmp_path: Path) -> None:
         assert home[:2] == items[1]["params"][4:6] and abs(home[0] - 52) < 0.1 and abs(home[1] - 15) < 0.1
 
 
+def test_more_waypoints_than_a_controller_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("analysis.exporting.flight.MOST_ITEMS", 4)
+    with pytest.raises(PlanError, match=r"robot \d has a mission of \d+ items; expected at most 4, which MAVLink"):
+        mrac.export(a_world(), 1, tmp_path / "a.plan")
+    assert not list(tmp_path.iterdir())
+
+
 def test_the_fence_holds_what_can_be_reached_and_rally_points_are_bases(tmp_path: Path) -> None:
     """A yard that a wall cuts off, and an island of keep-out cells."""
     threat = np.zeros((8, 10))

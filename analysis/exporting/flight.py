@@ -117,8 +117,8 @@ MODES = {ABOVE_HOME: 1, ABOVE_TERRAIN: 4}
 """QGroundControl's altitude mode of each frame."""
 COPTER, ROVER = 2, 10
 """Values of MAV_TYPE."""
-MOST_CORNERS = 64
-"""Of a geofence in PX4 (DM_KEY_FENCE_POINTS_MAX)."""
+MOST_ITEMS, MOST_CORNERS = 2**16 - 1, 64
+"""Items of a mission in MAVLink, whose numbers have 16 bits; corners of a geofence in PX4 (DM_KEY_FENCE_POINTS_MAX)."""
 ARDUPILOT, PX4 = 3, 12
 """MAV_AUTOPILOT that QGroundControl assumes without a connected vehicle. Only ArduPilot takes ABOVE_TERRAIN."""
 
@@ -128,7 +128,7 @@ def qgc_plan(mission: Mission, robot: int) -> str:
 
     Waiting is the hold time of its waypoint. After the last waypoint the autopilot's default applies. The geofence
     holds the cells that the robot can reach, without obstacles and keep-out cells; rally points are the bases. Raises
-    MapError for a map without georeference.
+    MapError for a map without georeference, PlanError for more items than a controller takes.
     """
     stops = mission.stops(robot)
     places = mission.lonlat(np.array([stop.cell for stop in stops])).tolist()
@@ -142,6 +142,9 @@ def qgc_plan(mission: Mission, robot: int) -> str:
         for command in [TAKE_OFF] * takes_off + [WAYPOINT] * (not takes_off or stop.waits > 0):
             hold = stop.waits * mission.step_seconds * (command == WAYPOINT)
             items.append(_item(command, frame, [hold, 0, 0, None, north, east, mission.altitude]) | heights)
+    if len(items) > MOST_ITEMS:
+        problem, fix = f"robot {robot} has a mission of {len(items):,} items", "export a plan for more robots"
+        raise PlanError(problem, expected=f"at most {MOST_ITEMS:,}, which MAVLink can number", fix=fix)
     for number, item in enumerate(items, start=1):
         item["doJumpId"] = number
     (east, north), *_ = places

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from math import isfinite
 from pathlib import Path
 from typing import NamedTuple
 
@@ -345,4 +344,4 @@ def paths(mission: Mission) -> Iterator[Feature]:
 
 
 def _rounded(value: float) -> float | None:
-    return round(float(value), 9) if isfinite(value) else None
+    return round(float(value), 9) if math.isfinite(value) else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import reprlib
 from collections.abc import Iterator
 from contextlib import suppress
@@ -404,24 +405,21 @@ def _times(table: Table, clock: int) -> list[float]:
     name, found = table.names[clock], []
     in_iso, in_steps = is_header(row[clock] for _, row in table.rows), name == "step"
     for line in table.rows:
-        text, value = line[1][clock].strip(), -1.0
-        if in_steps or not in_iso:
-            value = table.number(line, clock, name)
-        else:
-            with suppress(ValueError, OverflowError):
-                value = moment(text)
-        if (in_iso and value == -1) or (in_steps and not (0 <= value <= MAX_STEP and value == int(value))):
+        value = moment(line[1][clock]) if in_iso and not in_steps else table.number(line, clock, name)
+        if math.isnan(value) or (in_steps and not (0 <= value <= MAX_STEP and value == int(value))):
             expected = "numbers or times in ISO 8601, as 2026-05-01T12:00:00.5Z, in all of its lines"
-            problem, steps = f"line {line[0]}: {name} is {text[:40]!r}", f"a whole number, 0 to {MAX_STEP}"
+            problem, steps = f"line {line[0]}: {name} is {line[1][clock][:40]!r}", f"a whole number, 0 to {MAX_STEP}"
             raise MapError(problem, source=table.path, expected=steps if in_steps else expected)
         found.append(value)
     return found
 
 
 def moment(text: str) -> float:
-    """Seconds of a time in ISO 8601, of UTC without a time zone. Raises ValueError, OverflowError."""
-    found = datetime.fromisoformat(text.strip())
-    return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
+    """Seconds of a time in ISO 8601, of UTC without a time zone; NaN for any other text."""
+    with suppress(ValueError, OverflowError):
+        found = datetime.fromisoformat(text.strip())
+        return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
+    return math.nan
 
 
 def _places(table: Table, world: World) -> NDArray[np.float64]:
