@@ -357,7 +357,7 @@ def test_an_occupancy_grid_lies_by_its_origin(tmp_path: Path, kind: str) -> None
 
 
 @pytest.mark.parametrize("text", ["row,col\n1,0\n1,1\n2,1\n", "1,0\n1,1\n2,1\n", "n,col,row\n7,0,1\n7,1,1\n7,1,2\n",
-                                  "x_m,y_m\n11.9,25.2\n13,25\n13,23\n", "row;col\n1;0\n1;1\n2;1\n",
+                                  "x_m,y_m\n11.9,25.2\n13,25\n13,23\n900,25\n", "row;col\n1;0\n1;1\n2;1\n",
                                   "x_m;y_m\n11,9;25,2\n13;25\n13;23\n"])  # fmt: skip
 def test_visited_cells_in_a_csv_file(tmp_path: Path, text: str) -> None:
     (tmp_path / "c.csv").write_text(text)
