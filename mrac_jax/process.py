@@ -2,21 +2,43 @@
 
 The programs are whole-number programs of 32 bits that broadcast. They are compiled under the flags that they were
 written for, so that no `JAX_...` variable of the user's changes a count or stops them.
+
+JAX's threads do not survive a fork, so a child of a process with a started JAX cannot use it: without this module,
+which is imported before the fork, such a child waits for those threads for ever. JAX is imported when it is used.
 """
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from functools import cache
 from typing import Any
 
-import jax
-
-from mrac_jax.forks import jax_is_inherited
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.rollouts.names import why_not
+
+_inherited: list[int] = []
+"""Ids of the forked processes, this one among them, that inherited a started JAX."""
+
+
+def jax_is_inherited() -> bool:
+    """True in a process that was forked after JAX had started."""
+    return bool(_inherited)
+
+
+def _look() -> None:
+    """Note, in the child, whether JAX had started. Takes no lock: another thread may have held it at the fork."""
+    bridge = sys.modules.get("jax._src.xla_bridge")
+    if bridge is not None and getattr(bridge, "_backends", True):
+        _inherited.append(os.getpid())
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_look)
+
 
 RUN: dict[str, Any] = {
     "disable_jit": False,  # loops of the programs would run step by step in Python, and fail under vmap
@@ -49,6 +71,8 @@ def require_jax() -> None:
 
 @cache
 def _start() -> None:
+    import jax
+
     try:
         jax.local_devices()
     except Exception as error:
@@ -62,6 +86,8 @@ def fixed_flags(*, user_code: bool = False) -> Iterator[None]:
     `user_code`: a user's function is traced inside, to which the flags of WRITTEN stay as the user set them.
     """
     require_jax()
+    import jax
+
     with ExitStack() as stack:
         for name, value in (RUN if user_code else RUN | WRITTEN).items():
             stack.enter_context(getattr(jax, name)(value))

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import islice, zip_longest
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,6 +34,7 @@ from planner.errors import MapError, UsageError
 from planner.files import check_file, read_csv_grid, read_npy, starts_with_header
 from planner.make_plan import make_plan
 from planner.plan.plan import Plan
+from planner.plan.state_file import cell_columns
 from planner.settings import Settings
 from planner.world.points import read_table
 from planner.world.start_rule import check_robots, place_starts
@@ -215,11 +216,9 @@ def read_candidates(path: Path) -> tuple[NDArray, tuple[str, ...]]:
     if not starts_with_header(path):
         return read_csv_grid(path, MAX_CELLS)
     table = read_table(path, "lines row, col")
-    row, col = table.column("row"), table.column("col", "column")
-    if row is None or col is None:
-        raise MapError(f"has the columns {', '.join(table.names)[:80]}", source=path, expected="row and col")
-    cells = [[table.number(one, row, "row"), table.number(one, col, "col")] for one in table.rows]
-    return np.array(cells), table.notes
+    if not (columns := cell_columns(table)):
+        raise MapError(table.described, source=path, expected="row and col")
+    return table.places(columns, ("row", "col")), table.notes
 
 
 def candidate_cells(world: World, given: ArrayLike, source: object = "") -> tuple[Cells, tuple[str, ...]]:
@@ -475,16 +474,10 @@ def find_starts(
         fresh = {place: field.race.confirm(field.contender(place)) for place in {field.best, *field.now}}
     field.exact = field.race.exact
     field.notes += notes + (() if field.now else (ELSEWHERE,)) + screened(settings, world)
-    answer = Starts(
-        **field.fields(),
-        depot=depot,
-        places=field.figures(),
-        best=field.best,
-        candidates=cells,
-        rolled=field.race.rolled + sum(found.rollouts for found in fresh.values()),
-        gain=field.gain(fresh),
-        words=tuple(words),
-    )
+    rolled = field.race.rolled + sum(found.rollouts for found in fresh.values())
+    found: dict[str, Any] = {"depot": depot, "candidates": cells, "rolled": rolled, "words": tuple(words)}
+    found |= {"places": field.figures(), "best": field.best, "gain": field.gain(fresh)}
+    answer = Starts(**field.fields(), **found)
     at = answer.here if answer.chosen is not answer.places[answer.best] else answer.best
     return answer if at not in fresh else replace(answer, confirmed=field.known(answer.chosen, fresh[at]))
 

@@ -493,16 +493,9 @@ class Board:
             CellLayer("Coverage", "", covered, COVERED, "%", digits=2),
             CellLayer("Losses", "", lost, LOSSES, root=True),
         )
-        return {
-            "stage": stage,
-            "headline": headline,
-            "figures": figures,
-            "notes": self.notes,
-            "rollouts": rollouts,
-            "starts": self.plan.starts.tolist(),
-            "steps": STEPS,
-            "layers": [packed_layer(layer, ~np.isnan(world.met), self.accessible) for layer in layers],
-        }
+        shown = [packed_layer(layer, ~np.isnan(world.met), self.accessible) for layer in layers]
+        line = {"stage": stage, "headline": headline, "figures": figures, "notes": self.notes, "rollouts": rollouts}
+        return line | {"starts": self.plan.starts.tolist(), "steps": STEPS, "layers": shown}
 
 
 def visited_mean(tally: Tally) -> Estimate:

@@ -328,13 +328,18 @@ def json_text(content: object, *, compact: bool = False) -> str:
     return json.dumps(content, allow_nan=False, **look) + "\n"
 
 
-def write_all(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
-    """Write files into `folder` (created if necessary), each completely or not at all; returns their paths."""
+def make_folder(folder: Path, name: str = "folder") -> None:
+    """Make a folder, with its parents, if there is none. Raises UsageError that names the argument `name`."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        problem = f"{argument('folder')} {folder} cannot be written ({error.strerror})"
+        problem = f"{argument(name)} {visible(str(folder))} cannot be written ({error.strerror})"
         raise UsageError(problem, expected="a folder to write to") from error
+
+
+def write_all(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
+    """Write files into `folder` (created if necessary), each completely or not at all; returns their paths."""
+    make_folder(folder)
     from planner.files import atomic_write
 
     written: list[Path] = []
