@@ -1,7 +1,5 @@
 """Small missions with any of the options that a closed loop has, drawn by a number: what engines are compared on."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Policies that other processes can import."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Recordings of small worlds, rewritten with something changed, and small logs with a known layout."""
 
-from __future__ import annotations
-
 import io
 import struct
 from collections.abc import Callable

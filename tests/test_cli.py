@@ -1,7 +1,5 @@
 """The command line: answers, JSON, files, errors, tables on narrow consoles, help."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

@@ -1,7 +1,5 @@
 """`debrief`: tracks of every kind against the rollouts that they are of; noise, gaps, clocks; what is refused."""
 
-from __future__ import annotations
-
 import json
 import math
 from datetime import UTC, datetime, timedelta

@@ -1,7 +1,5 @@
 """PettingZoo and Gymnasium, and the example that learns by PPO."""
 
-from __future__ import annotations
-
 import copy
 import importlib.util
 import os

@@ -1,7 +1,5 @@
 """What an evaluation says: words, the table on the terminal, coverage over time."""
 
-from __future__ import annotations
-
 import html
 import re
 from collections.abc import Callable, Iterable

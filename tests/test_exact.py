@@ -1,7 +1,5 @@
 """Exact values: certain missions, what an evaluation calls exact, trees of all that can happen."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace

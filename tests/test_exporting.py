@@ -1,7 +1,5 @@
 """Ways out: every format read back, by other means than ours, gives the plan's cells; hostile and wrong input."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -1,7 +1,5 @@
 """Failure thresholds, wear, the generator, rollout groups that split."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

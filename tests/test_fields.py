@@ -1,7 +1,5 @@
 """Fields: their boundary as the map, rows and swaths."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

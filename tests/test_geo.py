@@ -1,7 +1,5 @@
 """Maps on the Earth: georeferences, shapefiles and GeoPackages, rasters in degrees."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import re

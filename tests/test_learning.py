@@ -1,7 +1,5 @@
 """Robots that learn the map or the hazards: against twins written from the rules, and both ways."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import json

@@ -1,7 +1,5 @@
 """Missions that are driven: hit or not as in the closed loop, hazards that are learned, maps that are seen."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

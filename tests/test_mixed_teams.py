@@ -1,7 +1,5 @@
 """Robots of several types and speeds, and radio of a limited distance."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from math import inf

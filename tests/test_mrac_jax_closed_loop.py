@@ -1,7 +1,5 @@
 """The JAX closed loop against the compiled simulator, and its own contract."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import replace

@@ -4,8 +4,6 @@ What the compiled simulator asks of Numba: no reference counts, no floating poin
 what it promises in return: no negative index, rows of known lengths.
 """
 
-from __future__ import annotations
-
 import ast
 import errno
 import importlib

@@ -1,7 +1,5 @@
 """The compiled classical simulator against it as Python, the fixtures and exact values; and its own contract."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """The compiled closed loop against the plain oracle, and against an independent simulator's means; the survey."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Plans for the open loop, and the closed loop of another planner's paths."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

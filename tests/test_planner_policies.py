@@ -3,8 +3,6 @@
 Where there are no tables of distances: however they are found, rollouts are those that tables lead to.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Traces and tallies."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import dataclass, field, replace

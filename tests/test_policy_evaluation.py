@@ -1,7 +1,5 @@
 """Policies of one's own: the suite and its standings, the judge, the study of policies."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json

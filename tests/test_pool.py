@@ -1,7 +1,5 @@
 """The pool of processes: killed and interrupted at random moments it loses nothing and never hangs."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal

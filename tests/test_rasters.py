@@ -1,7 +1,5 @@
 """Rasters on the ground, and samples of a survey interpolated over a map."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Recording: the file, every channel, the viewer layout, which rollout is picked."""
 
-from __future__ import annotations
-
 import json
 import re
 import struct

@@ -1,7 +1,5 @@
 """MCAP logs: the writer under faults, hostile and damaged files, recovery."""
 
-from __future__ import annotations
-
 import io
 import os
 import re

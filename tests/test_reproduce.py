@@ -1,7 +1,5 @@
 """`mrac-jax check --paper`: its points and the paper's statements."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Robots with a range, and robots that come home."""
 
-from __future__ import annotations
-
 import heapq
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """State files, and states from masks, grids, lists of cells and tracks."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

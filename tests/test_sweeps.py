@@ -1,7 +1,5 @@
 """`mrac-jax sweep` and `results`: sweep files, pooled rows, unknown maps and moving threats."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

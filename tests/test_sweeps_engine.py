@@ -1,7 +1,5 @@
 """The engine: however a sweep is run, split, resumed or interrupted, the store holds the same counts."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """Formulas, bounds and exact values against enumeration, rollouts and independent solvers."""
 
-from __future__ import annotations
-
 import signal
 from fractions import Fraction
 from itertools import combinations, product

@@ -1,7 +1,5 @@
 """Threats that move, and threats that change with time."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from math import gamma

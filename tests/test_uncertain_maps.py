@@ -1,7 +1,5 @@
 """Hazards that are there or not, and maps one of which is true."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

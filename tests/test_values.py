@@ -1,7 +1,5 @@
 """What cells are robot_value: estimates, scenario keys, policies."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from functools import cache

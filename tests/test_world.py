@@ -1,7 +1,5 @@
 """The world, scenario files and random worlds."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import math
