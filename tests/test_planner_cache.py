@@ -70,7 +70,6 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.delenv(NO_CACHE, raising=False)
     monkeypatch.setattr("numba.config.CACHE_DIR", "")
     folder = cache_folder()
-    assert folder is not None
     yield folder / sources_hash()
 
 

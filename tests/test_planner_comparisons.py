@@ -149,7 +149,6 @@ SAMPLED_SURVEY = 3
 
 def roll(one: SurveyWorld, plan: Plan, rollouts: int) -> RolloutResults:
     _, singles = run_range(one.loop(plan), one.seed, 0, rollouts, singles=True)
-    assert singles is not None
     return singles
 
 

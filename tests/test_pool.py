@@ -132,7 +132,6 @@ def begin(function: str, task: object) -> subprocess.Popen[str]:
     running = subprocess.Popen(
         [sys.executable, "-c", script], stdout=subprocess.PIPE, env=environment, text=True, start_new_session=True
     )
-    assert running.stdout is not None
     assert [running.stdout.readline() for _ in range(2)] == ["begun\n", "open\n"]
     return running
 
