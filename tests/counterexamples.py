@@ -3,8 +3,6 @@
 And one in which a robot is shut in, on which the readings of Theorem 3 differ.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -9,8 +9,6 @@ two, with tables and without; JAX's where it takes the setting; a run cut at a s
 on with.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import random

@@ -9,8 +9,6 @@ with 2 one line that begins `error:` and names the file; no traceback; no contro
 JSON, a page has no markup of the input's; nothing is left half-written.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import io

@@ -1,7 +1,5 @@
 """Small missions by everything that can happen: a robot among movers, the best strategy, a team in one row."""
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """`debrief`: tracks of every kind against the rollouts that they are of; noise, gaps, clocks; what is refused."""
 
-from __future__ import annotations
-
 import json
 import math
 from datetime import UTC, datetime, timedelta
@@ -157,7 +155,6 @@ def test_a_rollout_debriefed_gives_its_own_coverage(tmp_path: Path, flown: tuple
     rules = {"$defs": schema()["$defs"], "$ref": "#/$defs/debrief.Debrief"}
     Draft202012Validator(rules).validate(json.loads(json.dumps(found)))
     # The plan of the rest covers what is left, with the robots that are left.
-    assert done.rest is not None
     rest = {int(cell) for robot, path in enumerate(done.rest.robots) if robot not in dead for cell in path.path}
     assert rest >= {int(cell) for gap in done.gaps for cell in gap}
 

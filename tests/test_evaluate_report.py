@@ -1,7 +1,5 @@
 """What an evaluation says: words, the table on the terminal, coverage over time."""
 
-from __future__ import annotations
-
 import html
 import re
 from collections.abc import Callable, Iterable
@@ -567,9 +565,7 @@ def assert_is_of(band: Band, cut: Callable[[int], Tally], places: Iterable[int])
 
 
 def band_of(world: World, plan: Plan, choices: RolloutChoices) -> Band:
-    found = evaluate(world, plan, choices, band=True).outputs.get("band")
-    assert found is not None
-    return found
+    return evaluate(world, plan, choices, band=True).outputs["band"]
 
 
 @pytest.mark.parametrize("choices", CHOICES, ids=lambda choices: f"{choices.loop}-{choices.seed}")

@@ -1,7 +1,5 @@
 """Ways out: every format read back, by other means than ours, gives the plan's cells; hostile and wrong input."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math
@@ -57,7 +55,6 @@ def cells_of(world: World, places: list[list[float]]) -> list[int]:
     """The cells of the straight lines between longitudes and latitudes (PROJ)."""
     east, north = zip(*places, strict=True)
     place = world.georeference
-    assert place is not None
     if place.crs != "EPSG:4326":
         east, north = rasterio.warp.transform("EPSG:4326", place.crs, east, north)
     return cells_along(world, (np.stack([east, north], axis=-1) - place.origin) / place.scale)

@@ -1,7 +1,5 @@
 """Robots that learn the map or the hazards: against twins written from the rules, and both ways."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import json
@@ -435,7 +433,6 @@ def as_seen(trace: Trace, world: World, plan: Plan) -> Believed:
 def check_ways(trace: Trace, world: World, plan: Plan, believed: Believed) -> None:
     """Who is on its way home goes by the safest way, as the map is believed at the end of the step before."""
     problem, starts = prepare(world, plan.starts, plan.settings or Settings()), plan.starts
-    assert problem.unknown is not None and problem.home is not None
     values = problem.levels.values
     for step in range(trace.time):
         free = {cell: float(p) for cell, p in enumerate(believed(step)) if not np.isnan(p)}

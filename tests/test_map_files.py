@@ -1,7 +1,5 @@
 """Map files of every kind, maps in logs, other planners' instances."""
 
-from __future__ import annotations
-
 import json
 import math
 import struct

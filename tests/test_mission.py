@@ -1,7 +1,5 @@
 """Missions that are driven: hit or not as in the closed loop, hazards that are learned, maps that are seen."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path
@@ -297,7 +295,6 @@ def test_a_cell_that_was_an_obstacle_for_a_moment_is_worth_what_it_was(tmp_path:
         mission.save(tmp_path / "now.json")
         again = Mission.resume(tmp_path / "now.json", world, plan)
         for one in (mission, again):
-            assert one.world.value is not None
             assert one.world.value.tolist() == np.where(np.isnan(one.world.threat), 0, value).tolist()
             assert np.array_equal(one.given.threat, world.threat)
         assert mission.orders() == again.orders()

@@ -1,7 +1,5 @@
 """Robots of several types and speeds, and radio of a limited distance."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from math import inf
@@ -406,5 +404,4 @@ def test_who_is_out_of_touch_drives_back_to_hear_of_what_is_left(policy: str) ->
 def _ends(plan: Plan, world: World) -> set[tuple[int, int]]:
     """(outcome, cells visited) of rollouts."""
     _, singles = run_range(compile_closed_loop(plan, world), 0, 0, 50, singles=True)
-    assert singles is not None
     return set(zip(singles.outcome.tolist(), singles.visited.tolist(), strict=True))

@@ -1,7 +1,5 @@
 """Plan files: paths, deadlines, waypoints, settings, times."""
 
-from __future__ import annotations
-
 import copy
 import csv
 import json

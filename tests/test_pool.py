@@ -1,7 +1,5 @@
 """The pool of processes: killed and interrupted at random moments it loses nothing and never hangs."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal
@@ -134,7 +132,6 @@ def begin(function: str, task: object) -> subprocess.Popen[str]:
     running = subprocess.Popen(
         [sys.executable, "-c", script], stdout=subprocess.PIPE, env=environment, text=True, start_new_session=True
     )
-    assert running.stdout is not None
     assert [running.stdout.readline() for _ in range(2)] == ["begun\n", "open\n"]
     return running
 

@@ -1,7 +1,5 @@
 """What searches compare and conclude: trials, successive halving, the best policy, their picks."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The store of sweeps: blocks that never count twice, union, bad and damaged files."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

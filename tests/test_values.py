@@ -1,7 +1,5 @@
 """What cells are robot_value: estimates, scenario keys, policies."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from functools import cache
@@ -135,7 +133,6 @@ def test_the_closed_loop_against_every_pattern_of_hits(policy: str) -> None:
     visited, found = expected(play, one_of([world.threat.ravel()]))
     answer = evaluate(world, plan, RolloutChoices(rollouts=40_000, seed=11), band=False, advice=False)
     value = answer.outputs.get("value")
-    assert value is not None
     for estimate, chance in ((value.covered, visited), (value.found, found)):
         truth = float(world.value.ravel() @ chance)
         assert abs(estimate.mean - truth) < 5 * estimate.se + 1e-9
@@ -167,7 +164,6 @@ def test_where_nothing_is_said_of_values_nothing_is_told() -> None:
     answer = evaluate(GRID, plan, RolloutChoices(rollouts=512), band=False)
     assert answer.outputs.get("value") is None
     asked = evaluate(GRID, plan, RolloutChoices(rollouts=512), band=False, value=True).outputs.get("value")
-    assert asked is not None
     # each cell is worth 1, and is found; of one robot all of it is known
     assert asked.covered.mean == pytest.approx(answer.closed_form.visited, rel=1e-9)
     assert asked.found.mean == pytest.approx(answer.closed_form.survived, rel=1e-9)
@@ -178,7 +174,6 @@ def test_search_and_clearance_are_the_same_numbers() -> None:
     plan = make_plan(world, [[0, 0], [2, 3]])
     answer = mrac.evaluate(world, plan, loop="open", rollouts=4096, band=False)
     value = answer.outputs.get("value")
-    assert value is not None
     said = as_json(value)
     found, shares = open_loop_found(plan, world), world.value.ravel()
     assert said["search"]["success"] == pytest.approx(shares @ found)  # chances: they add up to less than 1
@@ -524,7 +519,6 @@ def test_worth_refuses_by_value() -> None:
 def test_whole_numbers_of_values() -> None:
     world = World.create([[0, 0, 0.1, 0, np.nan, 0]], value=[[2, 1e-9, 0, 1, 7, 50]])
     problem = prepare(world, [[0, 0]], Settings(policy="per_cell"))
-    assert problem.value is not None
     assert problem.value.tolist() == [1000, 1, 0, 500, 0, 0]  # the last cell is out of reach
     assert prepare(world, [[0, 0]], Settings()).value is None
     nothing = World.create([[0, 0.1, np.nan, 0]], value=[[0, 0, 0, 3]])
