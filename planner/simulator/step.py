@@ -38,11 +38,12 @@ from .jit import kernel, rare_kernel
 from .map_belief import clear_changes, recall, revise, update_belief, update_map
 from .moving_threats import has_entered, is_meeting, meet
 from .next_area import could_go_on
-from .replanning import begin, is_news
+from .paths import go_on
+from .replanning import begin, is_news, notices
 from .return_home import count_at_base, end_range, is_away, move_to_base, start_returns, stay
 from .robot_types import came_back, on_turn, own_turn
 from .solo import only_mover, walk_alone
-from .state import ONE, TO_DO, WORD, lowest_bit
+from .state import ONE, TO_DO, WORD, holds, lowest_bit
 from .visits import enter, is_complete, lose, survive
 
 
@@ -87,10 +88,12 @@ def advance(t, p, s, c, w, log, how, ids):
             if t.returns:
                 group.robot = robot
             # Turns of a rule that re-evaluates are called, not inlined: LLVM takes minutes over one larger loop.
-            if p is None:  # noqa: SIM108 - a branch that Numba drops
+            if p is None:
                 turn = fixed_paths.act(t, s, w, log, how, robot)
+            elif goes_on(t, p, s, robot):
+                turn = MOVES
             else:
-                turn = decide(t, p, s, w, log, how, robot)
+                turn = replanning.act(t, p, s, w, log, how, robot)
             if turn == NO_ROOM:
                 return AREAS_FULL
             if turn != MOVES:
@@ -102,6 +105,10 @@ def advance(t, p, s, c, w, log, how, ids):
                 note_leg(t, s, log, robot)
             # t = 0 enters the start; a robot on an external path may wait, which is no visit.
             cell = np.int64(robots[robot].next if group.step > 0 else robots[robot].cell)
+            if p is not None:
+                # A visit in another robot's area makes that area a worse offer: cached offers are void.
+                group.changes += is_news(s, robot, cell)
+                s.home[cell] = np.int64(s.home[cell]) & ~TO_DO
             if p is not None or group.step == 0 or cell != robots[robot].cell:
                 verdict = enter(t, s, c, w, log, how, ids, robot, cell)
             if verdict < ACTS:
@@ -121,6 +128,9 @@ def advance(t, p, s, c, w, log, how, ids):
                     update_belief(t, s, cell)
         if p is None:
             turn = arrive(t, p, s, w, log, how, robot, cell)
+        elif passes(t, s, robot, cell):
+            go_on(t, s, w, robot)
+            turn = RESTS
         else:
             turn = arrive_called(t, p, s, w, log, how, robot, cell)
         if turn == NO_ROOM:
@@ -149,16 +159,17 @@ def acting(t, p, s, word, after):
     return robots & (~np.uint64(1) << np.uint64(after)) if after >= 0 else robots
 
 
-@rare_kernel
-def decide(t, p, s, w, log, how, robot):
-    """The turn of a robot of a rule that re-evaluates, up to its move; returns as `replanning.act`."""
-    turn = replanning.act(t, p, s, w, log, how, robot)
-    if turn == MOVES:
-        cell = np.int64(s.robots[robot].next if s.marks.step > 0 else s.robots[robot].cell)
-        # A visit in another robot's area makes that area a worse offer: cached offers are void.
-        s.marks.changes += is_news(s, robot, cell)
-        s.home[cell] = np.int64(s.home[cell]) & ~TO_DO
-    return turn
+@kernel
+def goes_on(t, p, s, robot):
+    """Whether the robot, under a rule that re-evaluates, just moves on: it has nothing to decide."""
+    return not t.returns and s.marks.step > 0 and holds(s.movers, robot) and not notices(t, p, s, robot)
+
+
+@kernel
+def passes(t, s, robot, cell):
+    """Whether the robot, under a rule that re-evaluates, passes the cell on its way: it has nothing to decide."""
+    on_way = s.marks.step > 0 and cell != s.robots[robot].target and not t.returns and not t.radio
+    return on_way and own_turn(t, robot, s.marks.step) != s.robots[robot].until
 
 
 @rare_kernel
