@@ -205,7 +205,7 @@ def encounter(t, s, c, w, how, ids):
     return verdict
 
 
-@rare_kernel
+@kernel
 def end_step(t, p, s, c, w, log, how, ids):
     """End the step: the map is updated, and the run may end.
 
