@@ -55,6 +55,8 @@ def advance(t, p, s, c, w, log, how, ids):
         The Outcome, PARTED, CUT (all of a tree's mass is below the cut) or AREAS_FULL (the area registry is full).
     """
     group, robots, verdict = s.marks, s.robots, s.marks.verdict
+    # In registers: the compiler cannot know that no array is the group's record.
+    step, size = group.step, group.last - group.first
     robot, cell = np.int64(group.robot), np.int64(robots[group.robot].cell)
     # Bits of the robots of this word that still act in this step.
     word = robot // WORD
@@ -76,7 +78,7 @@ def advance(t, p, s, c, w, log, how, ids):
                     outcome = end_step(t, p, s, c, w, log, how, ids)
                     if outcome != NONE or how.pause:
                         return outcome
-                    word = 0
+                    step, word = group.step, 0
                 left = acting(t, p, s, word, NONE)
             if verdict == GROUP_SPLITS:
                 return verdict
@@ -104,15 +106,17 @@ def advance(t, p, s, c, w, log, how, ids):
             if log.noted:
                 note_leg(t, s, log, robot)
             # t = 0 enters the start; a robot on an external path may wait, which is no visit.
-            cell = np.int64(robots[robot].next if group.step > 0 else robots[robot].cell)
+            cell = np.int64(robots[robot].next if step > 0 else robots[robot].cell)
             if p is not None:
                 # A visit in another robot's area makes that area a worse offer: cached offers are void.
                 group.changes += is_news(s, robot, cell)
                 s.home[cell] = np.int64(s.home[cell]) & ~TO_DO
-            if p is not None or group.step == 0 or cell != robots[robot].cell:
-                verdict = enter(t, s, c, w, log, how, ids, robot, cell)
-            if verdict < ACTS:
-                return verdict
+            if p is not None or step == 0 or cell != robots[robot].cell:
+                verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)
+            if verdict != ACTS:
+                if verdict < ACTS:
+                    return verdict
+                size = group.last - group.first  # a tree's branch may have been cut
         if verdict == HIT:
             verdict = ACTS
             if not lose(t, s, c, w, log, robot):
@@ -123,7 +127,7 @@ def advance(t, p, s, c, w, log, how, ids):
         if verdict == PASSED:
             verdict = ACTS
             if not t.moving:  # else it survives at the end of the step
-                survive(t, s, c, robot, cell)
+                survive(t, s, c, step, robot, cell, size)
                 if t.estimates:
                     update_belief(t, s, cell)
         if p is None:
@@ -200,7 +204,7 @@ def encounter(t, s, c, w, how, ids):
     if verdict == ACTS:
         for robot in range(len(s.robots)):
             if has_entered(s, robot):
-                survive(t, s, c, robot, s.robots[robot].cell)
+                survive(t, s, c, s.marks.step, robot, s.robots[robot].cell, s.marks.last - s.marks.first)
         s.entered[:] = np.uint64(0)
     return verdict
 
