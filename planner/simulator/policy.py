@@ -25,7 +25,8 @@ class Policy(NamedTuple):
     """Decisions of robots of a rule that re-evaluates. Axes: `A` accessible cells, `K` robots, `L` threat levels.
 
     Attributes:
-        reevaluates, preempts, by_price: as in `Rule`. looks_ahead: too, None without online updates. limited: whether areas can be refused.
+        reevaluates, preempts, by_price: as in `Rule`. looks_ahead: too, but None where no program updates the map.
+        limited: whether areas can be refused.
         entry: int64 `[L]`, cost of entering a cell of each level. danger: bool `[A]`, cells of a dangerous level.
         cells: n of the whole map. theta: the price per new cell from which on an area is refused.
         robot_value: whether refusals are recorded.

@@ -38,12 +38,11 @@ from .jit import kernel, rare_kernel
 from .map_belief import clear_changes, recall, revise, update_belief, update_map
 from .moving_threats import has_entered, is_meeting, meet
 from .next_area import could_go_on
-from .paths import go_on
-from .replanning import begin, is_news, notices
+from .replanning import begin, goes_on, is_news, passes
 from .return_home import count_at_base, end_range, is_away, move_to_base, start_returns, stay
 from .robot_types import came_back, on_turn, own_turn
 from .solo import only_mover, walk_alone
-from .state import ONE, TO_DO, WORD, holds, lowest_bit
+from .state import ONE, TO_DO, WORD, lowest_bit
 from .visits import enter, is_complete, lose, survive
 
 
@@ -55,7 +54,7 @@ def advance(t, p, s, c, w, log, how, ids):
         The Outcome, PARTED, CUT (all of a tree's mass is below the cut) or AREAS_FULL (the area registry is full).
     """
     group, robots, verdict = s.marks, s.robots, s.marks.verdict
-    # In registers: the compiler cannot know that no array is the group's record.
+    # Kept in registers: LLVM cannot know that no array overlaps the record.
     step, size = group.step, group.last - group.first
     robot, cell = np.int64(group.robot), np.int64(robots[group.robot].cell)
     # Bits of the robots of this word that still act in this step.
@@ -89,13 +88,11 @@ def advance(t, p, s, c, w, log, how, ids):
             left &= left - ONE
             if t.returns:
                 group.robot = robot
-            # Turns of a rule that re-evaluates are called, not inlined: LLVM takes minutes over one larger loop.
+            # Decisions of a rule that re-evaluates are called, not inlined: LLVM takes minutes over one larger loop.
             if p is None:
                 turn = fixed_paths.act(t, s, w, log, how, robot)
-            elif goes_on(t, p, s, robot):
-                turn = MOVES
             else:
-                turn = replanning.act(t, p, s, w, log, how, robot)
+                turn = MOVES if goes_on(t, p, s, robot) else replanning.act(t, p, s, w, log, how, robot)
             if turn == NO_ROOM:
                 return AREAS_FULL
             if turn != MOVES:
@@ -132,11 +129,8 @@ def advance(t, p, s, c, w, log, how, ids):
                     update_belief(t, s, cell)
         if p is None:
             turn = arrive(t, p, s, w, log, how, robot, cell)
-        elif passes(t, s, robot, cell):
-            go_on(t, s, w, robot)
-            turn = RESTS
         else:
-            turn = arrive_called(t, p, s, w, log, how, robot, cell)
+            turn = RESTS if passes(t, s, w, robot, cell) else arrive_called(t, p, s, w, log, how, robot, cell)
         if turn == NO_ROOM:
             return AREAS_FULL
         if turn != MOVES:  # later robots of this step see what has changed
@@ -161,19 +155,6 @@ def acting(t, p, s, word, after):
         robots |= s.waiting[word]
     robots = on_turn(t, s.marks.step, word, robots)
     return robots & (~np.uint64(1) << np.uint64(after)) if after >= 0 else robots
-
-
-@kernel
-def goes_on(t, p, s, robot):
-    """Whether the robot, under a rule that re-evaluates, just moves on: it has nothing to decide."""
-    return not t.returns and s.marks.step > 0 and holds(s.movers, robot) and not notices(t, p, s, robot)
-
-
-@kernel
-def passes(t, s, robot, cell):
-    """Whether the robot, under a rule that re-evaluates, passes the cell on its way: it has nothing to decide."""
-    on_way = s.marks.step > 0 and cell != s.robots[robot].target and not t.returns and not t.radio
-    return on_way and own_turn(t, robot, s.marks.step) != s.robots[robot].until
 
 
 @rare_kernel
@@ -211,11 +192,7 @@ def encounter(t, s, c, w, how, ids):
 
 @kernel
 def end_step(t, p, s, c, w, log, how, ids):
-    """End the step: the map is updated, and the run may end.
-
-    Returns:
-        The Outcome, NONE to go on, or AREAS_FULL.
-    """
+    """End the step: the map is updated, and the run may end. Returns the Outcome, NONE to go on, or AREAS_FULL."""
     group = s.marks
     if t.learns:
         got = learn(t, p, s, w, log, how, ids)
