@@ -74,7 +74,10 @@ def advance(t, p, s, c, w, log, how, ids):
                         verdict = encounter(t, s, c, w, how, ids)
                         if verdict != ACTS:
                             break
-                    outcome = end_step(t, p, s, c, w, log, how, ids)
+                    if t.learns is None:
+                        outcome = end_step(t, p, s, c, w, log, how, ids)
+                    else:
+                        outcome = end_step_called(t, p, s, c, w, log, how, ids)
                     if outcome != NONE or how.pause:
                         return outcome
                     step, word = group.step, 0
@@ -188,6 +191,12 @@ def encounter(t, s, c, w, how, ids):
                 survive(t, s, c, s.marks.step, robot, s.robots[robot].cell, s.marks.last - s.marks.first)
         s.entered[:] = np.uint64(0)
     return verdict
+
+
+@rare_kernel
+def end_step_called(t, p, s, c, w, log, how, ids):
+    """`end_step` as a call, in the program with all features: LLVM takes minutes if it is inlined there."""
+    return end_step(t, p, s, c, w, log, how, ids)
 
 
 @kernel
