@@ -48,18 +48,16 @@ from .visits import enter, is_complete, lose, survive
 
 @rare_kernel
 def advance(t, p, s, c, w, log, how, ids):
-    """Run the group until it ends (an Outcome) or splits (PARTED).
+    """Run the group until it ends or splits.
 
-    Returns:
-        The Outcome, PARTED, CUT (all of a tree's mass is below the cut) or AREAS_FULL (the area registry is full).
+    Returns the Outcome, PARTED, CUT (all of a tree's mass is below the cut) or AREAS_FULL (the area registry is full).
     """
     group, robots, verdict = s.marks, s.robots, s.marks.verdict
     # Kept in registers: LLVM cannot know that no array overlaps the record.
     step, size = group.step, group.last - group.first
     robot, cell = np.int64(group.robot), np.int64(robots[group.robot].cell)
-    # Bits of the robots of this word that still act in this step.
     word = robot // WORD
-    left = acting(t, p, s, word, robot % WORD if verdict != ACTS else NONE)
+    left = acting(t, p, s, word, robot % WORD if verdict != ACTS else NONE)  # robots that still act in this step
     if verdict == ACTS and p is not None:
         begin(t, s, w)
     forget(t, p, s, w)
@@ -75,9 +73,9 @@ def advance(t, p, s, c, w, log, how, ids):
                         if verdict != ACTS:
                             break
                     if t.learns is None:
-                        outcome = end_step(t, p, s, c, w, log, how, ids)
+                        outcome = end_step(t, p, s, c, w, log, how)
                     else:
-                        outcome = end_step_called(t, p, s, c, w, log, how, ids)
+                        outcome = learn_and_end(t, p, s, c, w, log, how, ids)
                     if outcome != NONE or how.pause:
                         return outcome
                     step, word = group.step, 0
@@ -194,20 +192,20 @@ def encounter(t, s, c, w, how, ids):
 
 
 @rare_kernel
-def end_step_called(t, p, s, c, w, log, how, ids):
-    """`end_step` as a call, in the program with all features: LLVM takes minutes if it is inlined there."""
-    return end_step(t, p, s, c, w, log, how, ids)
-
-
-@kernel
-def end_step(t, p, s, c, w, log, how, ids):
-    """End the step: the map is updated, and the run may end. Returns the Outcome, NONE to go on, or AREAS_FULL."""
-    group = s.marks
+def learn_and_end(t, p, s, c, w, log, how, ids):
+    """Update the map, then `end_step`; a call, since LLVM takes minutes if it is inlined."""
     if t.learns:
         got = learn(t, p, s, w, log, how, ids)
         if got == NO_ROOM:
             return np.int64(AREAS_FULL)
-        group.progress |= got
+        s.marks.progress |= got
+    return end_step(t, p, s, c, w, log, how)
+
+
+@kernel
+def end_step(t, p, s, c, w, log, how):
+    """End the step: the run may end. Returns the Outcome, NONE to go on, or AREAS_FULL."""
+    group = s.marks
     group.quiet = 0 if group.progress else group.quiet + 1
     if t.returns and not call_back(t, p, s, w, log):
         return np.int64(AREAS_FULL)
@@ -240,10 +238,7 @@ def over_by(t, p, s, w, outcome):
 
 @rare_kernel
 def learn(t, p, s, w, log, how, ids):
-    """Update the map at the end of a step: GAINS if it changed, else RESTS; NO_ROOM.
-
-    A map update is progress (SPEC section 15): robots without an area ask again in the next step.
-    """
+    """Update the map: GAINS if it changed (progress: robots without an area ask again), else RESTS; NO_ROOM."""
     count, fresh = update_map(t, s, w, how, ids)
     if p is not None and fresh and len(p.view_begin) > 0:
         s.marks.changes += 1  # areas would reveal fewer cells: cached offers are void
