@@ -520,7 +520,9 @@ def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables, *, i
     alive = range(len(problem.starts) + 1 if settings.risk_cap is not None else 0)
     is_own = RULES.get(rule.name) is not rule
     return Policy(
-        **{name: getattr(rule, name) for name in ("reevaluates", "preempts", "looks_ahead", "by_price")},
+        **{name: getattr(rule, name) for name in ("reevaluates", "preempts", "by_price")},
+        # Without online updates F = 0, and both orders are the same: no code is compiled for it.
+        looks_ahead=rule.looks_ahead if tables.learns is not None else None,
         limited=rule.limited and problem.theta < NO_REFUSAL,
         **{name: getattr(problem, name) for name in ("entry", "theta", "scale", "beyond")},
         danger=dangerous(problem, cells),
