@@ -91,7 +91,6 @@ def compile_closed_loop(
     tables = make_tables(problem, cells, areas, tabled, kept, plan.failure_model)
     if interpreted and len(cells) >= LARGE:  # a single run rarely asks for the costs from a cell again
         tables = tables._replace(patience=ASKED_BEFORE)
-<<<<<<< HEAD
     return ClosedLoop(
         identity=_identity(problem, areas, first_only, plan.state),
         shape=world.shape,
@@ -111,16 +110,6 @@ def compile_closed_loop(
         if isinstance(order, str)
         else lambda here, cell, cost: order(CellOffer(int(cells[here]), int(cells[cell]), cost)),
     )
-=======
-    policy = make_policy(problem, cells, tables, interpreted=interpreted) if rule.replanning else None
-    head = _identity(problem, areas, first_only, plan.state), world.shape, cells, tables, problem.max_steps, first_only
-    more: dict[str, Any] = {"failure_model": plan.failure_model, "movers": world.movers, "purpose": purpose_of(world)}
-    if learns and isinstance(world.uncertainty, Uncertain):
-        more["uncertainty"] = world.uncertainty
-    if not isinstance(settings.in_area, str):
-        more["in_area"] = _by_order(settings.in_area, cells)
-    return ClosedLoop(*head, settings.transit == "area", rule, policy, plan.state, **more)
->>>>>>> fl2
 
 
 def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool, state: MissionState | None) -> str:
