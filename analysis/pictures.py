@@ -66,17 +66,22 @@ SCALES: dict[str, Colormap] = {"threat": THREAT, "covered": COVERED, "losses": L
 """Colour scales by the names that layers of cells give."""
 
 RC = {
-    **dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), FAINT),
-    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize"), 8.0),
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
-    "legend.fontsize": 8.5,
-    "text.color": INK,
+    "text.parse_math": False,  # a `$` in a user's text is not a formula
+    "axes.edgecolor": FAINT,
+    "axes.labelcolor": FAINT,
     "axes.linewidth": 0.7,
+    "axes.unicode_minus": False,
+    "xtick.color": FAINT,
+    "ytick.color": FAINT,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "text.color": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
     "hatch.linewidth": 0.5,
     "figure.facecolor": "white",
-    # A `$` in a user's text is not a formula.
-    **dict.fromkeys(("text.parse_math", "axes.unicode_minus", "legend.frameon"), False),
 }
 
 
@@ -541,14 +546,20 @@ def _draw(axes: Axes, world: World, plan: Plan | None, more: str) -> Key:
     if starts is not None:
         mark_starts(axes, starts, world.shape, points)
     unreachable = int(world.free.sum() - accessible.sum())
-    title = _title(plan, int(accessible.sum()), "free" if starts is None else "accessible", levels)
-    size = f"{world.shape[0]} x {world.shape[1]} map{_how_long(world, plan)}"
-    size += f"; {counted(unreachable, 'free cell')} out of reach" if unreachable else ""
-    even = plan is None or plan.failure_model.is_even
-    label = "chance that one visit destroys the robot" if even else "p, the dose of a visit"
-    label += " (level's mean)" if levels.quantised else ""
-    handles = (*_handles(plan, starts), *terrain_handles(world, accessible))
-    return Key(title, size + more, label=label, handles=handles, **level_scale(levels.values, known))
+    return Key(
+        title=_title(plan, int(accessible.sum()), "free" if starts is None else "accessible", levels),
+        subtitle=f"{world.shape[0]} x {world.shape[1]} map{_how_long(world, plan)}"
+        + (f"; {counted(unreachable, 'free cell')} out of reach" if unreachable else "")
+        + more,
+        label=(
+            "chance that one visit destroys the robot"
+            if plan is None or plan.failure_model.is_even
+            else "p, the dose of a visit"
+        )
+        + (" (level's mean)" if levels.quantised else ""),
+        handles=(*_handles(plan, starts), *terrain_handles(world, accessible)),
+        **level_scale(levels.values, known),
+    )
 
 
 def level_scale(levels: NDArray[np.float64], known: ThreatScale) -> Look:

@@ -49,12 +49,22 @@ ELSEWHERE = {
     "read_plan": "planner.plan_team",
 }
 """The module of a name, if it is not `analysis.api`."""
-WITH = "hazard=latent_hazard maps=maps movers=moving_threats phases=phases prior=prior_map sense=sensor_range"
-WITH += " spread=spread truth=true_map"
-OF_0_3 = {f"with_{old}": f"World.with_{new}" for old, _, new in (pair.partition("=") for pair in WITH.split())}
-OF_0_3 |= {"to_networkx": "World.to_networkx", "mission": "drive", "reproduce": "check(paper=...)"}
-OF_0_3 |= {"attack": "threats(..., add=1)", "clear": "threats(..., remove=1)"}
-"""Names of release 0.3, which work for one release, and today's."""
+OF_0_3 = {
+    "with_hazard": ("planner.world.world", "World.with_latent_hazard"),
+    "with_maps": ("planner.world.world", "World.with_maps"),
+    "with_movers": ("planner.world.world", "World.with_moving_threats"),
+    "with_phases": ("planner.world.world", "World.with_phases"),
+    "with_prior": ("planner.world.world", "World.with_prior_map"),
+    "with_sense": ("planner.world.world", "World.with_sensor_range"),
+    "with_spread": ("planner.world.world", "World.with_spread"),
+    "with_truth": ("planner.world.world", "World.with_true_map"),
+    "to_networkx": ("planner.world.world", "World.to_networkx"),
+    "attack": ("analysis.api", "threats(..., add=1)"),
+    "clear": ("analysis.api", "threats(..., remove=1)"),
+    "mission": ("analysis.api", "drive"),
+    "reproduce": ("analysis.api", "check(paper=...)"),
+}
+"""Names of release 0.3, which work for one release: the module and today's name of each."""
 MODULES = ("functional", "plots")
 """Names that are modules."""
 NEIGHBOURS = ("planner", "analysis")
@@ -67,12 +77,11 @@ def __getattr__(name: str) -> Any:
     for neighbour in NEIGHBOURS:
         _check_is_ours(neighbour)
     if name in OF_0_3:
-        new = OF_0_3[name]
+        module, new = OF_0_3[name]
         import_module("planner.errors").warn_renamed(f"mrac_jax.{name}", f"mrac_jax.{new}")
+        home = import_module(module)
         if new.startswith("World."):
-            world = import_module("planner.world.world").World
-            return _with_names_of_0_3(getattr(world, new.removeprefix("World.")))
-        home = import_module("analysis.api")
+            return _with_names_of_0_3(getattr(home.World, new.removeprefix("World.")))
         return getattr(home, name, None) or home.OF_0_3[name]
     home = import_module(ELSEWHERE.get(name, "analysis.api"))
     if name in MODULES:

@@ -214,10 +214,6 @@ def pad_tables(compiled: CompiledPlan, seed: int) -> PaddedTables:
     shown = [weight_planes(weight, max(words, weighted), planes)[:, :weighted] for weight in weights]
     counter, draws = words_of(groups), compiled.world.draws
     nothing = np.zeros((len(counter), 1), np.uint32)
-    own = {"visited": events.own_visited, "survived": events.own_survived, "time": tables.time, "alive": tables.alive}
-    joint = None
-    if tables.joint is not None and draws is not None:
-        joint = pad_draws(tables.joint, own_key(seed, draws.purpose), slot_pad)
     return on_host(
         PaddedTables,
         counter=_grow(counter, slot_pad),
@@ -225,11 +221,16 @@ def pad_tables(compiled: CompiledPlan, seed: int) -> PaddedTables:
         threshold=_grow(nothing if guide is None else guide.threshold, slot_pad, 0),
         first_row=_grow(groups.first_row, group_pad, fill=groups.row_count, dtype=np.int32),
         stride=_grow(groups.stride, group_pad, 0, dtype=np.int32),
-        **{name: _grow(rows, row_pad) for name, rows in own.items()},
+        visited=_grow(events.own_visited, row_pad),
+        survived=_grow(events.own_survived, row_pad),
+        time=_grow(tables.time, row_pad),
+        alive=_grow(tables.alive, row_pad),
         bits=_grow(events.bits, row_pad, words - events.bits.shape[1]),
         visited_planes=shown[0],
         survived_planes=shown[1],
-        joint=joint,
+        joint=None
+        if tables.joint is None or draws is None
+        else pad_draws(tables.joint, own_key(seed, draws.purpose), slot_pad),
         drop_row=np.int32(groups.row_count),
         mantissa=0 if guide is None else guide.mantissa,
         bisections=0 if guide is None else guide.bisections,
@@ -474,11 +475,16 @@ class JaxOpenLoop:
         total = jax.tree.map(lambda *leaves: sum(leaves), *done)
         compiled, tables = self.compiled, self.compiled.tables
         visited = total.visited[:-1].reshape(2, -1)
-        sizes = {"survived": compiled.accessible, "time": compiled.last_step, "alive": compiled.robots}
-        ends = (getattr(total, name)[: size + 1] for name, size in sizes.items())
-        rows, events = total.rows[: tables.groups.row_count], total.events[: tables.events.count]
-        covered = visited.sum(axis=0)[: compiled.accessible + 1]
-        return RangeCounts(count, rows, events, covered, *ends, int(visited[1, compiled.accessible]))
+        return RangeCounts(
+            rollouts=count,
+            rows=total.rows[: tables.groups.row_count],
+            events=total.events[: tables.events.count],
+            visited=visited.sum(axis=0)[: compiled.accessible + 1],
+            survived=total.survived[: compiled.accessible + 1],
+            time=total.time[: compiled.last_step + 1],
+            alive=total.alive[: compiled.robots + 1],
+            complete_dead=int(visited[1, compiled.accessible]),
+        )
 
     @fixed_flags()
     def results(self, start: int, count: int) -> RolloutResults:
@@ -536,7 +542,15 @@ def jitted(function: Callable, batch: int) -> Callable:
 
 
 def _no_sums(tables: PaddedTables) -> Sums:
-    events = tables.bits.shape[1] * WORD_BITS
-    sizes = {"rows": len(tables.visited), "events": events, "visited": 2 * tables.cell_bins + 1}
-    sizes |= {"survived": tables.cell_bins + 1, "time": tables.time_bins + 1, "alive": tables.robot_bins + 1}
-    return on_host(Sums, **{name: np.zeros(size, dtype=np.int32) for name, size in sizes.items()})
+    def zeros(*shape: int) -> NDArray[np.int32]:
+        return np.zeros(shape, dtype=np.int32)
+
+    return on_host(
+        Sums,
+        rows=zeros(len(tables.visited)),
+        events=zeros(tables.bits.shape[1] * WORD_BITS),
+        visited=zeros(2 * tables.cell_bins + 1),
+        survived=zeros(tables.cell_bins + 1),
+        time=zeros(tables.time_bins + 1),
+        alive=zeros(tables.robot_bins + 1),
+    )

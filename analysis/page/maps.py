@@ -73,9 +73,16 @@ def cell_maps_html(
     while -(-height // side) * -(-width // side) > MOST_CELLS:
         side += 1
     blocked = [_Blocks(layer, free, accessible, side) for layer in layers]
-    origin, listed = [float(value) for value in world.origin], [] if values_of else [one.packed() for one in blocked]
-    packed = {"shape": [height, width], "side": side, "metres": world.cell_size, "origin": origin, "steps": STEPS}
-    packed |= {"layers": listed, "from": values_of, "starts": starts.tolist() if len(starts) <= 256 else []}
+    packed = {
+        "shape": [height, width],
+        "side": side,
+        "metres": world.cell_size,
+        "origin": [float(value) for value in world.origin],
+        "steps": STEPS,
+        "layers": [] if values_of else [block.packed() for block in blocked],
+        "from": values_of,
+        "starts": starts.tolist() if len(starts) <= 256 else [],
+    }
     note = "Point at a cell, or tap it, for its values; with the keyboard, the arrow keys go from cell to cell."
     if side > 1:
         note += f" This map is large: values are those of blocks of {side} x {side} cells, means, for losses sums."

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import islice, zip_longest
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -474,10 +474,16 @@ def find_starts(
         fresh = {place: field.race.confirm(field.contender(place)) for place in {field.best, *field.now}}
     field.exact = field.race.exact
     field.notes += notes + (() if field.now else (ELSEWHERE,)) + screened(settings, world)
-    rolled = field.race.rolled + sum(found.rollouts for found in fresh.values())
-    found: dict[str, Any] = {"depot": depot, "candidates": cells, "rolled": rolled, "words": tuple(words)}
-    found |= {"places": field.figures(), "best": field.best, "gain": field.gain(fresh)}
-    answer = Starts(**field.fields(), **found)
+    answer = Starts(
+        **field.fields(),
+        depot=depot,
+        places=field.figures(),
+        best=field.best,
+        candidates=cells,
+        rolled=field.race.rolled + sum(found.rollouts for found in fresh.values()),
+        gain=field.gain(fresh),
+        words=tuple(words),
+    )
     at = answer.here if answer.chosen is not answer.places[answer.best] else answer.best
     return answer if at not in fresh else replace(answer, confirmed=field.known(answer.chosen, fresh[at]))
 

@@ -472,11 +472,17 @@ class _Search(Search):
         if self.goal.confidence is not None:
             low, high = found.chance_bounds(meaning, self.needed, self.alpha)
         robots = len(trial.plan.robots)
-        time = found.mean("time", 1.0, longest_run(self.world, trial.plan, self.choices.loop))
-        figures = {"coverage": coverage, "chance": chance, "time": time, "alive": found.mean("alive"), "value": value}
-        unseen = self._unseen(robots, verdict_of_team((low, high), self.goal.wanted))
-        exact = found.exact or coverage.half_width == 0
-        return replace(unseen, rollouts=found.rollouts, interval=(low, high), exact=exact, **figures)
+        return replace(
+            self._unseen(robots, verdict_of_team((low, high), self.goal.wanted)),
+            rollouts=found.rollouts,
+            interval=(low, high),
+            coverage=coverage,
+            chance=chance,
+            time=found.mean("time", 1.0, longest_run(self.world, trial.plan, self.choices.loop)),
+            alive=found.mean("alive"),
+            exact=found.exact or coverage.half_width == 0,
+            value=value,
+        )
 
     def confirm(self, robots: int) -> TeamPoint | None:
         """The team on the same number of fresh rollouts, ids from the first that no team used.

@@ -493,9 +493,16 @@ class Board:
             CellLayer("Coverage", "", covered, COVERED, "%", digits=2),
             CellLayer("Losses", "", lost, LOSSES, root=True),
         )
-        shown = [packed_layer(layer, ~np.isnan(world.met), self.accessible) for layer in layers]
-        line = {"stage": stage, "headline": headline, "figures": figures, "notes": self.notes, "rollouts": rollouts}
-        return line | {"starts": self.plan.starts.tolist(), "steps": STEPS, "layers": shown}
+        return {
+            "stage": stage,
+            "headline": headline,
+            "figures": figures,
+            "notes": self.notes,
+            "rollouts": rollouts,
+            "starts": self.plan.starts.tolist(),
+            "steps": STEPS,
+            "layers": [packed_layer(layer, ~np.isnan(world.met), self.accessible) for layer in layers],
+        }
 
 
 def visited_mean(tally: Tally) -> Estimate:

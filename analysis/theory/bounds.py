@@ -87,9 +87,13 @@ def all_bounds(plan: Plan, world: World) -> Bounds:
         return _nothing_known(plan)
     robots = chances_of(plan, world)
     gains = tuple(eq4(robot) for robot in robots)
-    survivals, team = tuple(robot.survival for robot in robots), team_survival(robots)
     if not plan.failure_model.is_plain:
-        return replace(_nothing_known(plan), eq1=survivals, team_survival=team, eq4=gains)
+        return replace(
+            _nothing_known(plan),
+            eq1=tuple(robot.survival for robot in robots),
+            team_survival=team_survival(robots),
+            eq4=gains,
+        )
     # Theorem 3's C does not include ways back to base, on which robots cross each other's areas.
     others = plan.is_external or plan.state is not None or plan.comes_home
     connecting = None if others else connecting_cells(plan)
@@ -98,11 +102,17 @@ def all_bounds(plan: Plan, world: World) -> Bounds:
         left[plan.state.visited] = False
         known, alive = len(plan.state.visited), sum(robot.alive for robot in plan.state.robots)
     threat = np.sort(world.threat.ravel()[left].astype(np.float64))
-    theorems: list[Theorem3 | None] = [None] * 2
-    if connecting is not None:
-        theorems = [theorem3(sum(getattr(g, name) for g in gains), connecting) for name in ("visited", "survived")]
-    ideal = known + ideal_team(threat, 1), known + ideal_team(threat, alive)
-    return Bounds(survivals, eq2_printed(robots, plan.makespan), team, gains, eq5(plan, world), *theorems, *ideal)
+    return Bounds(
+        eq1=tuple(robot.survival for robot in robots),
+        eq2_printed=eq2_printed(robots, plan.makespan),
+        team_survival=team_survival(robots),
+        eq4=gains,
+        eq5=eq5(plan, world),
+        theorem3_visited=None if connecting is None else theorem3(sum(g.visited for g in gains), connecting),
+        theorem3_survived=None if connecting is None else theorem3(sum(g.survived for g in gains), connecting),
+        ideal_eq7=known + ideal_team(threat, 1),
+        ideal_team=known + ideal_team(threat, alive),
+    )
 
 
 def _nothing_known(plan: Plan) -> Bounds:

@@ -518,10 +518,18 @@ def exact_of(plan: Plan, robots: list[PathChances], cells: int) -> OpenLoopExact
     survival = np.array([robot.survival for robot in robots])
     steps = np.concatenate([robot.steps for robot in robots])
     lost = np.bincount(steps, np.concatenate([robot.reach * robot.threat for robot in robots]), horizon)
-    curves = (np.cumsum(gain) for gain in (visited_gain, survived_gain))
-    alive, times = poisson_binomial(survival), _time_chance(robots, horizon)
-    by_cell = visited, survived, delivered
-    return OpenLoopExact(*by_cell, *curves, stops, survival, alive, times, np.cumsum(lost))
+    return OpenLoopExact(
+        visited_by_cell=visited,
+        survived_by_cell=survived,
+        delivered_by_cell=delivered,
+        visited_curve=np.cumsum(visited_gain),
+        survived_curve=np.cumsum(survived_gain),
+        stops_by_cell=stops,
+        survival=survival,
+        alive_chance=poisson_binomial(survival),
+        time_chance=_time_chance(robots, horizon),
+        losses_curve=np.cumsum(lost),
+    )
 
 
 def _deliveries(plan: Plan, robots: list[PathChances]) -> list[NDArray[np.int64]]:

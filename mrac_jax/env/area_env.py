@@ -179,12 +179,17 @@ class AreaRuns:
     def _tell(self, rewards: NDArray[np.float32]) -> coverage_env.StepBatch:
         env, runs = self.env, self._runs
         alive = np.array([env.alive(run) for run in runs])
-        seen, legal = (np.array([of(run) for run in runs]) for of in (env.observe, env.legal))
-        done = np.array([run.outcome is not None for run in runs])
-        cut = np.array([run.outcome is Outcome.STEP_LIMIT for run in runs])
-        covered = np.array([1 - run.now.unvisited / env.accessible for run in runs], np.float32)
-        step, lost = np.array([max(run.now.step, 0) for run in runs], np.int32), (~alive).sum(axis=1, dtype=np.int32)
-        return coverage_env.StepBatch(seen, legal, rewards, alive, done, cut, covered, lost, step)
+        return coverage_env.StepBatch(
+            seen=np.array([env.observe(run) for run in runs]),
+            legal=np.array([env.legal(run) for run in runs]),
+            rewards=rewards,
+            alive=alive,
+            done=np.array([run.outcome is not None for run in runs]),
+            truncated=np.array([run.outcome is Outcome.STEP_LIMIT for run in runs]),
+            covered=np.array([1 - run.now.unvisited / env.accessible for run in runs], np.float32),
+            lost=(~alive).sum(axis=1, dtype=np.int32),
+            step=np.array([max(run.now.step, 0) for run in runs], np.int32),
+        )
 
     def picture(self) -> NDArray[np.uint8]:
         """As in `Runs`."""

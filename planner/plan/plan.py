@@ -298,16 +298,20 @@ class Plan:
         def area_of(area: Area) -> Json:
             return {"level": area.level, "robot": area.robot, "cells": area.cells.tolist()}
 
-        areas, added = ([area_of(area) for area in listed] for listed in (self.areas, self.areas_added))
-        robots = [{"path": path_of(robot), "legs": [asdict(leg) for leg in robot.legs]} for robot in self.robots]
-        found: Json = {"format": FORMAT, "version": VERSION}
-        found |= {"world": {"shape": list(self.shape), "sha256": self.sha256}}
-        found |= {"settings": None if self.settings is None else self.settings.to_json()}
-        found |= {"nominal": {"outcome": self.outcome, "time": self.time, "shares": self.shares}, "robots": robots}
-        found |= {"areas": areas, "areas_added": added, "notes": list(self.notes)}
-        found |= {"plan_for": "open_loop"} if self.for_open_loop else {}
-        found |= self.bears.to_json() if self.is_external else {}
-        return found | ({} if self.state is None else {"state": self.state.to_json()})
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "world": {"shape": list(self.shape), "sha256": self.sha256},
+            "settings": None if self.settings is None else self.settings.to_json(),
+            "nominal": {"outcome": self.outcome, "time": self.time, "shares": self.shares},
+            "robots": [{"path": path_of(r), "legs": [asdict(leg) for leg in r.legs]} for r in self.robots],
+            "areas": [area_of(area) for area in self.areas],
+            "areas_added": [area_of(area) for area in self.areas_added],
+            "notes": list(self.notes),
+            **({"plan_for": "open_loop"} if self.for_open_loop else {}),
+            **(self.bears.to_json() if self.is_external else {}),
+            **({"state": self.state.to_json()} if self.state is not None else {}),
+        }
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
         """Write the plan file atomically.

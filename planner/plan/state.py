@@ -129,21 +129,30 @@ class MissionState:
 
     def to_json(self) -> Json:
         """Object of the state file."""
-        robots = []
-        for r in self.robots:
-            said = {"cell": r.cell, "status": r.status, "area": r.area, "ahead": r.ahead.tolist(), "moves": r.moves}
-            said |= {} if r.exposure is None else {"exposure": r.exposure / NAT}
-            said |= {} if r.home is None else {"home": r.home}
-            said |= {"turned": True} if r.turned else {}
-            robots.append(said | ({"carried": r.carried.tolist()} if len(r.carried) else {}))
-        areas = [{"level": a.level, "robot": a.robot, "state": a.state, "cells": a.cells.tolist()} for a in self.areas]
-        held, to_do = [k for k, r in enumerate(self.robots) if r.held], [r.to_do.tolist() for r in self.robots]
-        found: Json = {"format": FORMAT, "version": VERSION}
-        found |= {"world": {"shape": list(self.shape), "sha256": self.sha256}, "step": self.step}
-        found |= {"visited": self.visited.tolist(), "survived": self.survived.tolist(), "robots": robots}
-        found |= {"areas": areas, "to_do": to_do, "held": held, "quiet": self.quiet}
-        found |= {} if self.over is None else {"over": self.over}
-        return found | ({} if self.delivered is None else {"delivered": self.delivered.tolist()})
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "world": {"shape": list(self.shape), "sha256": self.sha256},
+            "step": self.step,
+            "visited": self.visited.tolist(),
+            "survived": self.survived.tolist(),
+            "robots": [
+                {"cell": r.cell, "status": r.status, "area": r.area, "ahead": r.ahead.tolist(), "moves": r.moves}
+                | ({} if r.exposure is None else {"exposure": r.exposure / NAT})
+                | ({} if r.home is None else {"home": r.home})
+                | ({"turned": True} if r.turned else {})
+                | ({"carried": r.carried.tolist()} if len(r.carried) else {})
+                for r in self.robots
+            ],
+            "areas": [
+                {"level": a.level, "robot": a.robot, "state": a.state, "cells": a.cells.tolist()} for a in self.areas
+            ],
+            "to_do": [robot.to_do.tolist() for robot in self.robots],
+            "held": [number for number, robot in enumerate(self.robots) if robot.held],
+            "quiet": self.quiet,
+            **({} if self.over is None else {"over": self.over}),
+            **({} if self.delivered is None else {"delivered": self.delivered.tolist()}),
+        }
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
         """Write the state file atomically.

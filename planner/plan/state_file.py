@@ -454,7 +454,10 @@ def metres(points: NDArray[np.float64], crs: str, world: World, path: Path) -> N
     if crs == WGS84:
         check_range(points, "", path)
         return on_map(points, world.frame, world.georeference, path)
-    return world.georeference.from_crs(points, crs, str(path))
+    try:
+        return world.georeference.from_crs(points, crs)
+    except MapError as error:
+        raise MapError(error.problem, source=path, expected=error.expected, fix=error.fix) from error
 
 
 def _check_cells(table: Table, cells: list[int], world: World) -> None:

@@ -17,7 +17,7 @@ from planner.mrac.problem import Problem, ready_loop
 from planner.plan.plan import Area, Leg, Plan, RobotPlan, last_move
 from planner.plan.state import MissionState
 from planner.rollout_sampling import check_counters
-from planner.rollouts.loop import ClosedLoop, known_cells, purpose_of
+from planner.rollouts.loop import NO_COUNTS, ClosedLoop, known_cells, purpose_of
 from planner.rollouts.runners import Runner, on_threads, run_rollouts, singles_of
 from planner.rollouts.tables import ASKED_BEFORE, AllPairs, first_frames, make_policy, make_tables
 from planner.simulator.areas import FRAME_AREA, FRAME_CELL, FRAME_DOING, make_log
@@ -266,8 +266,15 @@ def trace_from(
     # Events of other kinds hold a count in their last column, not a cell.
     tells_cell = ~np.isin(happened[:, 2], (EventKind.REALLOCATED, EventKind.SHARED, EventKind.SURPRISED))
     happened[tells_cell, 4] = loop.cells[happened[tells_cell, 4]]
-    cells, doing = loop.cells[frames[:, FRAME_CELL]].astype(np.int32), frames[:, FRAME_DOING].astype(np.int8)
-    return Trace(rollout, cells, doing, frames[:, FRAME_AREA].copy(), happened, area_of, outcome)
+    return Trace(
+        rollout=rollout,
+        cells=loop.cells[frames[:, FRAME_CELL]].astype(np.int32),
+        doing=frames[:, FRAME_DOING].astype(np.int8),
+        areas=frames[:, FRAME_AREA].copy(),
+        events=happened,
+        area_of=area_of,
+        outcome=outcome,
+    )
 
 
 def tally_from(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[Counts]) -> Tally:
@@ -283,16 +290,28 @@ def tally_from(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[
     covered[visited] += count
     unsurvived[visited] += count
     unsurvived[survived] -= count
+    passes = loop.weights is not None
     # Arrays by step end with the longest rollout, so that tallies do not depend on T_max.
     last = len(counts.time) - int((counts.time[::-1] > 0).argmax())
-    same = {name: getattr(counts, name) for name in ("visited", "survived", "alive", "home", "delivered", "outcomes")}
-    same |= {"visits": loop.on_grid(counts.visits), "stops": loop.on_grid(counts.stops)}
-    same |= {"covered_visited": covered, "covered_survived": covered - unsurvived}
-    same |= {"time": counts.time[:last], "new_visited": counts.new[:last]}
-    same["new_survived"] = same["new_visited"] + counts.late[:last]
-    if loop.weights is not None:
-        same["passes"] = np.stack([loop.on_grid(column) for column in counts.passes.T], axis=1).ravel()
-    return Tally(tally_key(loop.identity, "closed", seed), loop.shape, ((start, start + count),), **same)
+    return Tally(
+        key=tally_key(loop.identity, "closed", seed),
+        shape=loop.shape,
+        ids=((start, start + count),),
+        visited=counts.visited,
+        survived=counts.survived,
+        time=counts.time[:last],
+        alive=counts.alive,
+        home=counts.home,
+        delivered=counts.delivered,
+        outcomes=counts.outcomes,
+        new_visited=counts.new[:last],
+        new_survived=counts.new[:last] + counts.late[:last],
+        visits=loop.on_grid(counts.visits),
+        stops=loop.on_grid(counts.stops),
+        covered_visited=covered,
+        covered_survived=covered - unsurvived,
+        passes=np.stack([loop.on_grid(column) for column in counts.passes.T], axis=1).ravel() if passes else NO_COUNTS,
+    )
 
 
 # The nominal run by the compiled simulator.

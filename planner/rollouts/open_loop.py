@@ -152,11 +152,19 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
         own = [world.draws.bound.astype(np.float32) / np.float32(UNIT)] * len(paths)
     found = _find_entries(paths, world, own)
     per_robot = [found.dangerous & (found.robot == robot) for robot in range(len(paths))]
-    steps, cells = (tuple(of[mine] for mine in per_robot) for of in (found.step, found.cell))
     moves = np.array([last_move(path) for path in paths], dtype=np.int64)
-    identity, accessible = _identity(world, paths, plan.failure_model), int(world.accessible(plan.starts).sum())
-    last = int(moves.max(initial=0))
-    return CompiledPlan(plan, world, identity, world.shape, accessible, last, found, steps, cells, moves)
+    return CompiledPlan(
+        plan=plan,
+        world=world,
+        identity=_identity(world, paths, plan.failure_model),
+        shape=world.shape,
+        accessible=int(world.accessible(plan.starts).sum()),
+        last_step=int(moves.max(initial=0)),
+        entries=found,
+        danger_step=tuple(found.step[mine] for mine in per_robot),
+        danger_cell=tuple(found.cell[mine] for mine in per_robot),
+        last_move=moves,
+    )
 
 
 def words_of(groups: Groups) -> NDArray[np.uint32]:
@@ -216,14 +224,21 @@ def _make_tables(compiled: CompiledPlan) -> OpenLoopTables:
         for steps, move, deep in zip(compiled.danger_step, compiled.last_move, depth, strict=True)
     ]
     alive = [(np.arange(deep + 1) == many).astype(np.int64) for deep, many in zip(depth, dangers, strict=True)]
-    guide, joint, world, failure_model = None, None, compiled.world, compiled.plan.failure_model
-    if drawn_once:
-        guide = make_guide([thresholds[r] if r >= 0 else thresholds[0][:0] for r in groups.slot_robot])
-    if draws is not None:
-        # Draws are by cell, or by cell and phase.
-        drawn = replace(compiled.entries, cell=world.visits(compiled.entries.cell, compiled.entries.step))
-        joint = joint_draws(draws, world.exposures, drawn, groups, failure_model)
-    return OpenLoopTables(groups, events, groups.rows(times, np.maximum), groups.rows(alive, np.add), guide, joint)
+    # Draws are by cell, or by cell and phase.
+    visits = compiled.world.visits(compiled.entries.cell, compiled.entries.step)
+    drawn = replace(compiled.entries, cell=visits)
+    return OpenLoopTables(
+        groups=groups,
+        events=events,
+        time=groups.rows(times, np.maximum),
+        alive=groups.rows(alive, np.add),
+        guide=make_guide([thresholds[r] if r >= 0 else thresholds[0][:0] for r in groups.slot_robot])
+        if drawn_once
+        else None,
+        joint=None
+        if draws is None
+        else joint_draws(draws, compiled.world.exposures, drawn, groups, compiled.plan.failure_model),
+    )
 
 
 # Counts of one range of rollout ids, and the tally made of them. NumPy only.
@@ -269,10 +284,17 @@ def tally_of(compiled: CompiledPlan, seed: int, start: int, counts: RangeCounts)
     outcomes[Outcome.COMPLETE] = complete
     outcomes[Outcome.ALL_ROBOTS_LOST] = stopped
     outcomes[Outcome.END_OF_PATHS] = counts.rollouts - complete - stopped
-    ids = ((start, start + counts.rollouts),) if counts.rollouts else ()
-    same = {name: getattr(counts, name) for name in ("visited", "survived", "time", "alive")}
-    same |= {"outcomes": outcomes} | tables.events.tally_arrays(sources)
-    return Tally(tally_key(compiled.identity, "open", seed), compiled.shape, ids, **same)
+    return Tally(
+        key=tally_key(compiled.identity, "open", seed),
+        shape=compiled.shape,
+        ids=((start, start + counts.rollouts),) if counts.rollouts else (),
+        visited=counts.visited,
+        survived=counts.survived,
+        time=counts.time,
+        alive=counts.alive,
+        outcomes=outcomes,
+        **tables.events.tally_arrays(sources),
+    )
 
 
 def outcomes_of(visited: NDArray[np.int32], alive: NDArray[np.int32], accessible: int) -> NDArray[np.int8]:

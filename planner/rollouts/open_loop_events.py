@@ -46,8 +46,15 @@ def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int) -> Trace:
     events, missing = _events(plan, stops, cells, area_of, int(world.accessible(plan.starts).sum()))
     alive = any(stop is None for stop in stops)
     outcome = Outcome.COMPLETE if missing == 0 else Outcome.END_OF_PATHS if alive else Outcome.ALL_ROBOTS_LOST
-    frames = cells.astype(np.int32), doing.astype(np.int8), areas.astype(np.int32)
-    return Trace(rollout, *frames, np.array(events, dtype=np.int32).reshape(-1, 5), area_of, outcome)
+    return Trace(
+        rollout=rollout,
+        cells=cells.astype(np.int32),
+        doing=doing.astype(np.int8),
+        areas=areas.astype(np.int32),
+        events=np.array(events, dtype=np.int32).reshape(-1, 5),
+        area_of=area_of,
+        outcome=outcome,
+    )
 
 
 def _stops(plan: Plan, luck: Luck) -> list[int | None]:
@@ -458,12 +465,18 @@ def collect_events(entries: Entries, groups: Groups, cells: int, last_step: int)
     bit, (row, source, sign) = np.argsort(order), np.concatenate(terms, axis=1)
     source = np.append(np.arange(local.sources), local.sources + bit)[source]
     shape = (2 * steps + 4 * cells, local.sources + len(place))
-    bits = _pack(seen.robot[member], seen.need[member], bit[owner], len(place), groups)
-    weighted = -(-int(np.count_nonzero(shown[0] + shown[1])) // WORD_BITS)
-    visited, survived = (of[order] for of in shown)
-    own_visited, own_survived = (_own_cells(of, groups) for of in weights[:2])
-    matrix = csr_array((sign, (row, source)), shape=shape, dtype=np.int64)
-    return Events(bits, len(place), weighted, visited, survived, own_visited, own_survived, matrix, steps, cells)
+    return Events(
+        bits=_pack(seen.robot[member], seen.need[member], bit[owner], len(place), groups),
+        count=len(place),
+        weighted_words=-(-int(np.count_nonzero(shown[0] + shown[1])) // WORD_BITS),
+        visited_weight=shown[0][order],
+        survived_weight=shown[1][order],
+        own_visited=_own_cells(weights[0], groups),
+        own_survived=_own_cells(weights[1], groups),
+        matrix=csr_array((sign, (row, source)), shape=shape, dtype=np.int64),
+        steps=steps,
+        cells=cells,
+    )
 
 
 def _own_cells(weights: NDArray[np.int64], groups: Groups) -> NDArray[np.uint32]:
@@ -647,8 +660,18 @@ def joint_draws(
     order = np.lexsort((robot, step))
     robot, step, cell = robot[order], step[order], cell[order]
     entered, spot = np.unique(cell, return_inverse=True)
-    slots, of_cell = np.maximum(groups.slot_robot, 0), (draws.counter[cell], draws.there[cell], draws.column[cell])
-    slot, own = slot_of[robot].astype(np.int32), (slots.astype(np.uint32), failure_model.nodes)
-    times, spots = failure_model.times(len(slot_of))[slots], len(entered) if draws.spends else 0
-    visits = spot.astype(np.int32), exposure[cell], doses
-    return JointDraws(slot, place[order].astype(np.int32), *of_cell, *visits, *own, times, last, spots)
+    return JointDraws(
+        slot=slot_of[robot].astype(np.int32),
+        place=place[order].astype(np.int32),
+        own_counter=draws.counter[cell],
+        there=draws.there[cell],
+        column=draws.column[cell],
+        spot=spot.astype(np.int32),
+        exposure=exposure[cell],
+        doses=doses,
+        robot=np.maximum(groups.slot_robot, 0).astype(np.uint32),
+        nodes=failure_model.nodes,
+        times=failure_model.times(len(slot_of))[np.maximum(groups.slot_robot, 0)],
+        last=last,
+        spots=len(entered) if draws.spends else 0,
+    )

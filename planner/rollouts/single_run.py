@@ -484,11 +484,18 @@ def state_of(run: SingleRun, problem: Problem, cumulative_hazard: Sequence[int] 
     over, quiet = int(run.raw.marks["over"]), int(run.raw.marks["quiet"])
     if run.outcome is None:  # the run waits for an announced phase: that is not yet no progress
         quiet = min(quiet, int(run.t.quiet_steps) - 1)
-    quiet, over_word = 0 if over else quiet, Outcome(over - 1).word if over else None
-    visited, survived = np.flatnonzero(run.visited), np.flatnonzero(run.survived)
-    got = cells[_members(run.raw.carried[-1], len(cells))] if delivers else None
-    head = world.shape, world.sha256, run.step
-    return MissionState(*head, visited, survived, robots, tuple(areas), quiet, over_word, got)
+    return MissionState(
+        world.shape,
+        world.sha256,
+        run.step,
+        np.flatnonzero(run.visited),
+        np.flatnonzero(run.survived),
+        robots,
+        tuple(areas),
+        0 if over else quiet,
+        Outcome(over - 1).word if over else None,
+        cells[_members(run.raw.carried[-1], len(cells))] if delivers else None,
+    )
 
 
 def _members(bits: NDArray[np.uint64], count: int) -> NDArray[np.bool_]:

@@ -307,10 +307,18 @@ def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: typ
     # Blocked neighbours have index A, so the table needs one more element.
     node = np.append(parts.node, np.int32(NO_CELL)) if len(entry) else parts.node
     kind_cost, kind, counts = np.unique(entry, return_inverse=True, return_counts=True)
-    kinds = {"kind": kind.astype(narrow), "kind_cost": kind_cost, "kind_begin": np.cumsum(counts) - counts}
-    safe = {"node": node, "beside": parts.begin[: len(node)], "border": parts.border, "wide": parts.wide}
-    patience = ASKED_BEFORE if len(near) >= MOST_CELLS else 0
-    return kinds | safe | {"nearby": NEAR_CELLS, "goal": len(near), "patience": patience}
+    return {
+        "node": node,
+        "beside": parts.begin[: len(node)],
+        "border": parts.border,
+        "kind": kind.astype(narrow),
+        "kind_cost": kind_cost,
+        "kind_begin": np.cumsum(counts) - counts,
+        "nearby": NEAR_CELLS,
+        "wide": parts.wide,
+        "goal": len(near),
+        "patience": ASKED_BEFORE if len(near) >= MOST_CELLS else 0,
+    }
 
 
 def _ways_home(problem: Problem, cells: NDArray[np.int64], compact: NDArray[np.int32], narrow: type) -> dict[str, Any]:
@@ -401,10 +409,17 @@ def write_mission_state(mission: MissionState, state: State, tables: Tables, cel
     unassigned = [number for number, area in enumerate(mission.areas) if area.state == "unassigned"]
     level, lowest = tables.level[unassigned], tables.level[unassigned].min(initial=NO_LEVEL)
     alive = sum(robot.alive for robot in mission.robots)
-    marks = {"covered": len(mission.visited), "step": mission.step + 1, "quiet": mission.quiet, "alive": alive}
-    marks |= {"unsurvived": len(mission.visited) - len(mission.survived), "open": len(unassigned), "lowest": lowest}
-    marks |= {"unfinished": int(np.count_nonzero(left))}
-    marks["over"] = 0 if mission.over is None else Outcome[mission.over.upper()] + 1
+    marks = {
+        "covered": len(mission.visited),
+        "unsurvived": len(mission.visited) - len(mission.survived),
+        "step": mission.step + 1,
+        "quiet": mission.quiet,
+        "alive": alive,
+        "open": len(unassigned),
+        "lowest": lowest,
+        "unfinished": int(np.count_nonzero(left)),
+        "over": 0 if mission.over is None else Outcome[mission.over.upper()] + 1,
+    }
     for word, value in marks.items():
         state.marks[word] = value
     if len(tables.times):
@@ -520,16 +535,21 @@ def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables, *, i
     alive = range(len(problem.starts) + 1 if settings.risk_cap is not None else 0)
     is_own = RULES.get(rule.name) is not rule
     return Policy(
-        **{name: getattr(rule, name) for name in ("reevaluates", "preempts", "by_price")},
+        reevaluates=rule.reevaluates,
+        preempts=rule.preempts,
         # Without online updates F = 0, and both orders are the same: no code is compiled for it.
         looks_ahead=rule.looks_ahead if tables.learns is not None else None,
+        by_price=rule.by_price,
         limited=rule.limited and problem.theta < NO_REFUSAL,
-        **{name: getattr(problem, name) for name in ("entry", "theta", "scale", "beyond")},
+        entry=problem.entry,
         danger=dangerous(problem, cells),
         cells=problem.costs.size,
+        theta=problem.theta,
         robot_value=settings.robot_value is not None,
         most=np.array([most_at_risk(settings.risk_cap or 1.0, robots) for robots in alive], dtype=np.int64),
         value=np.zeros(0, dtype=np.int64) if problem.value is None else problem.value[cells],
+        scale=problem.scale,
+        beyond=problem.beyond,
         view_begin=tables.view_begin[ahead],
         in_view=tables.in_view[ahead],
         stamp=np.zeros(len(cells) + 1, dtype=np.int64)[ahead],

@@ -122,9 +122,15 @@ class Hazard:
         """The draws of every cell."""
         there, bound = bounds_of(self.q).ravel(), bounds_of(self.h).ravel()
         cells = there.size
-        counter, column, none = np.arange(cells, dtype=np.uint32), np.zeros(cells, dtype=np.int32), np.uint32(0)
-        bound, table = np.where(there > 0, bound, none), np.zeros((0, 0), dtype=np.uint32)
-        return Draws(HAZARD_DRAW, counter, there, bound, table, column, self.kind == "consumed")
+        return Draws(
+            purpose=HAZARD_DRAW,
+            counter=np.arange(cells, dtype=np.uint32),
+            there=there,
+            bound=np.where(there > 0, bound, np.uint32(0)),
+            table=np.zeros((0, 0), dtype=np.uint32),
+            column=np.zeros(cells, dtype=np.int32),
+            spends=self.kind == "consumed",
+        )
 
     def exposures(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """(hazard of a visit to each cell, int64 `[N]`, if the latent hazard exists; empty table)."""

@@ -706,11 +706,13 @@ class World:
         free, dangerous = self.free, self.threat > 0
         worst = f", the worst {chance(float(self.threat[dangerous].max()))}" if dangerous.any() else ""
         team = "" if self.team.robots is None else f"{self.team.robots}, placed by the rule {self.team.start!r}"
-        value = "" if self.value is None else f"{self.value.sum():g} in all, at most {self.value.max():g} a cell"
         rows = [
             ("cells", f"{self.shape[0]} x {self.shape[1]} of {self.cell_size:g} m, {int(free.sum()):,} of them free"),
             ("threats", f"{int(dangerous.sum()):,} dangerous cells{worst}"),
-            ("value", value),
+            (
+                "value",
+                "" if self.value is None else f"{self.value.sum():g} in all, at most {self.value.max():g} a cell",
+            ),
             ("detect", "" if self.detect is None else f"{self.detect[free].mean():.3g} a visit, on average"),
             ("place", "" if self.georeference is None else f"in {self.georeference.crs[:60]}"),
             ("step", f"{self.pace.seconds:g} s" if self.pace.seconds else ""),
