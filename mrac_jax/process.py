@@ -4,7 +4,8 @@ The programs are whole-number programs of 32 bits that broadcast. They are compi
 written for, so that no `JAX_...` variable of the user's changes a count or stops them.
 
 JAX's threads do not survive a fork, so a child of a process with a started JAX cannot use it: without this module,
-which is imported before the fork, such a child waits for those threads for ever. JAX is imported when it is used.
+which is imported before the fork, such a child waits for those threads for ever. JAX is imported when it is used, and `planner` too: a module of that name that is not
+this project's is named by `mrac_jax`.
 """
 
 from __future__ import annotations
@@ -15,10 +16,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from functools import cache
 from typing import Any
-
-from planner.arguments import argument
-from planner.errors import UsageError
-from planner.rollouts.names import why_not
 
 _inherited: list[int] = []
 """Ids of the forked processes, this one among them, that inherited a started JAX."""
@@ -61,6 +58,9 @@ WRITTEN: dict[str, Any] = {
 def require_jax() -> None:
     """Raise UsageError where JAX cannot run: in a process forked after it had started, or without its devices."""
     if jax_is_inherited():
+        from planner.arguments import argument
+        from planner.errors import UsageError
+
         raise UsageError(
             "JAX had started before this process was forked, and cannot run in it",
             fix="start processes by spawn, as AsyncVectorEnv(..., context='spawn') or multiprocessing.get_context"
@@ -76,6 +76,10 @@ def _start() -> None:
     try:
         jax.local_devices()
     except Exception as error:
+        from planner.arguments import argument
+        from planner.errors import UsageError
+        from planner.rollouts.names import why_not
+
         raise UsageError(why_not(error), fix=f"set JAX_PLATFORMS=cpu, or use {argument('engine', 'numba')}") from error
 
 

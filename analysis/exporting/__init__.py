@@ -244,6 +244,11 @@ def choose_format(out: Path, to: str | None, name: str = "out") -> Format:
     return found[0]
 
 
+def _check_not_read(file: Path, read: set[Path]) -> None:
+    if file.resolve() in read:
+        raise UsageError(f"{printable(file)} is an input and would be overwritten", expected="another file")
+
+
 def export(
     world: World,
     plan: Plan,
@@ -277,15 +282,15 @@ def export(
         if value is not None and option not in form.takes:
             able = " or ".join(name for name, one in FORMATS.items() if option in one.takes)
             raise UsageError(f"{argument(option)} with a format that ignores it", expected=able, fix="leave it out")
+    read = {file.resolve() for file in (Path(world.source), *spare)}
+    _check_not_read(out, read)
     mission = make_mission(world, plan, altitude, speed, terrain, battery)
     # All contents exist before the first file is written.
     contents = form.make(mission)
     files = {form.name(out, label, len(contents)): content for label, content in contents.items()}
     check_new(*files, force=force)
-    read = {file.resolve() for file in (Path(world.source), *spare)}
     for name in files:
-        if name.resolve() in read:
-            raise UsageError(f"{printable(name)} is an input and would be overwritten", expected="another file")
+        _check_not_read(name, read)
     if is_folder(out):
         make_folder(out, "out")
     for name, content in files.items():

@@ -92,8 +92,9 @@ class Fleet(SingleRun):
 
     def end_step(self) -> None:
         """End the step after every robot's turn."""
+        t, p, s, w, log, how = self.t, self.p, self.s, self.w, self.log, self.how
         with np.errstate(over="ignore"):
-            found = interpreted("step").end_step(self.t, self.p, self.s, self.c, self.w, self.log, self.how, self.ids)
+            found = interpreted("step").learn_and_end(t, p, s, self.c, w, log, how, self.ids)
         self.under_way = False
         self.outcome = None if found == NONE else Outcome(int(found))
         self.take_events()
@@ -157,14 +158,14 @@ class Fleet(SingleRun):
 
     def enter(self, number: int, cell: int | None = None) -> None:
         """The robot has entered the cell that was decided, or the accessible cell of this number."""
-        s, me = self.s, self.s.robots[number]
-        s.marks.progress, decided = 1, me.next if s.marks.step > 0 else me.cell
+        s, me, step = self.s, self.s.robots[number], self.s.marks.step
+        s.marks.progress, decided = 1, me.next if step > 0 else me.cell
         cell = decided if cell is None else cell
         if self.p is not None:
             # Before the cell is marked as visited: afterwards it is news no more.
             s.marks.changes += interpreted("replanning").is_news(s, number, cell)
             s.home[cell] = int(s.home[cell]) & ~TO_DO
-        interpreted("visits").enter(self.t, s, self.c, self.w, self.log, self.how, self.ids, number, cell)
+        interpreted("visits").enter(self.t, s, self.c, self.w, self.log, self.how, self.ids, step, number, cell, 1)
 
     def stop(self, number: int) -> None:
         """The robot, which has just entered its cell, is lost there."""
@@ -175,7 +176,7 @@ class Fleet(SingleRun):
 
     def survive(self, number: int) -> None:
         """The robot has survived the cell that it has just entered."""
-        interpreted("visits").survive(self.t, self.s, self.c, number, self.s.robots[number].cell)
+        interpreted("visits").survive(self.t, self.s, self.c, self.s.marks.step, number, self.s.robots[number].cell, 1)
         self._arrive(number)
 
     def _arrive(self, number: int) -> None:
@@ -212,7 +213,7 @@ class Fleet(SingleRun):
     def go_on(self, number: int) -> None:
         """A displaced robot, or one at the end of its range, has survived: it continues from its cell."""
         t, p, s, w, log, how, me = self.t, self.p, self.s, self.w, self.log, self.how, self.s.robots[number]
-        interpreted("visits").survive(t, s, self.c, number, me.cell)
+        interpreted("visits").survive(t, s, self.c, s.marks.step, number, me.cell, 1)
         if t.returns and me.doing == Doing.RETURNING:
             interpreted("return_home").move_to_base(t, s, log, number)
         elif self.moves_left(number) == 0:
@@ -358,7 +359,7 @@ class Fleet(SingleRun):
             if self.p is not None:
                 s.home[at] = int(s.home[at]) & ~TO_DO
         elif s.home[at] & SURVIVED == 0:
-            interpreted("visits").mark_survived(s, self.c, at)
+            interpreted("visits").mark_survived(s, self.c, s.marks.step, at, 1)
         if len(s.carried):
             interpreted("state").put(s.carried[number], at)
             interpreted("visits").deliver(self.t, s, number, at)
