@@ -4,8 +4,8 @@ The programs are whole-number programs of 32 bits that broadcast. They are compi
 written for, so that no `JAX_...` variable of the user's changes a count or stops them.
 
 JAX's threads do not survive a fork, so a child of a process with a started JAX cannot use it: without this module,
-which is imported before the fork, such a child waits for those threads for ever. JAX is imported when it is used, and `planner` too: a module of that name that is not
-this project's is named by `mrac_jax`.
+which is imported before the fork, such a child waits for those threads for ever. JAX is imported when it is used.
+`planner` is, too: another module of that name is `mrac_jax`'s to report.
 """
 
 from __future__ import annotations
