@@ -1,5 +1,7 @@
 """Plan files: paths, deadlines, waypoints, settings, times."""
 
+from __future__ import annotations
+
 import copy
 import csv
 import json
@@ -646,7 +648,7 @@ WRONG = {
     "plan_for": "both", "effort": -1, "range": -1, "deadline": -1,
     "weibull_shape": 0.1, "hazard_multiplier": 65.0, "return_to": "base", "recharge": 0, "deliver_every": 0,
     "in_area": "spiral", "types": "", "steps_per_move": 0, "radio": 0.0,
-    "priority": 0, "wrecks": "burn",
+    "priority": 0, "wrecks": "sink",
 }  # fmt: skip
 NEEDS = {name: {"policy": "per_cell"} for name in ("risk_cap", "robot_value", "priority")} | {
     "effort": {"plan_for": "open_loop"}

@@ -19,21 +19,8 @@ from planner.errors import StateError
 from planner.failure_model import exposure_of
 from planner.files import Json, check_new
 from planner.make_plan import allocated_plan, make_plan
-from planner.mission.map_updates import (
-    HazardUpdates,
-    Seen,
-    closed_by,
-    closed_state,
-    hand_on,
-    learned_state,
-    read_pairs,
-    read_rest,
-    read_seen,
-    seen_by,
-    seen_world,
-    surprises,
-    write_mission,
-)
+from planner.mission import map_updates
+from planner.mission.map_updates import HazardUpdates, Seen
 from planner.mission.team_control import Fleet, Order, Report, Reports, Why
 from planner.mrac.problem import NO_LIMIT, ready_loop
 from planner.plan.plan import Plan
@@ -272,7 +259,7 @@ class Mission:
         before, there = self._reports.seen, {one: report.cell for one, report in self._reports.now.items()}
         if seen is not None:
             # Stored before the report is checked: a robot cannot be in a cell that it reports as an obstacle.
-            self._reports.seen = before | seen_by(seen, self._fleet, there)
+            self._reports.seen = before | map_updates.seen_by(seen, self._fleet, there)
         try:
             new = self._reports.hear(number, cell, step, moves_left, stopped=bool(stopped), found=bool(found))
         except StateError:
@@ -305,13 +292,13 @@ class Mission:
         seen = {cell: p for cell, p in (told | dict.fromkeys(wrecks)).items() if cell not in self.closed}
         self._reports.clear()
         self._orders = None
-        changed = surprises(self.world, seen)
+        changed = map_updates.surprises(self.world, seen)
         # Taken before the new allocation, which replaces the problem.
         known = fleet.problem.levels.accessible
         # A new allocation needs robots that are alive and steps that are left.
         if len(changed) and held and fleet.step < self.last_step:
-            world = seen_world(self.world, seen, self.given)
-            state, got = learned_state(self.state, world, changed, self.settings)
+            world = map_updates.seen_world(self.world, seen, self.given)
+            state, got = map_updates.learned_state(self.state, world, changed, self.settings)
             plan = allocated_plan(replace(world, uncertainty=None), state.starts, self.settings, state=state)
             cells = np.flatnonzero(known) if wrecks else changed[:0]
             self._go_on(world, plan, dict(zip(cells.tolist(), fleet.visited[cells].tolist(), strict=True)))
@@ -433,11 +420,11 @@ class Mission:
             StateError: a robot is on one of them, or has reported so; they separate a robot from the cell that it
                 reported in this step; or they are not on the map.
         """
-        closed, world = closed_by(cells, self._reports)
+        closed, world = map_updates.closed_by(cells, self._reports)
         if self._fleet.step == NOT_BEGUN:
             plan = make_plan(world, self._plan.starts, self.settings)
         else:
-            state = closed_state(self.state, world, self.settings.levels)
+            state = map_updates.closed_state(self.state, world, self.settings.levels)
             plan = make_plan(replace(world, uncertainty=None), state.starts, self.settings, state=state)
         self._go_on(world, plan)
         self._fleet.come_home()
@@ -467,13 +454,13 @@ class Mission:
         Raises:
             StateError: the file is invalid.
         """
-        known, rest, keys = read_rest(path, world, plan)
+        known, rest, keys = map_updates.read_rest(path, world, plan)
         mission = cls(known, rest, **how)
         mission.given, mission._file = world, Path(path).resolve()
         if plan.settings is not None and plan.settings.blocks:
             cell, robot = whole(0, world.threat.size - 1), whole(0, mission.robots - 1)
-            mission._lessons.wrecks = read_pairs(keys["wrecks"], "[robot, cell]", robot, cell)
-            mission._begin(known, rest, read_pairs(keys["cut_off"], "[cell, visited]", cell, whole(0, 1)))
+            mission._lessons.wrecks = map_updates.read_pairs(keys["wrecks"], "[robot, cell]", robot, cell)
+            mission._begin(known, rest, map_updates.read_pairs(keys["cut_off"], "[cell, visited]", cell, whole(0, 1)))
         heard, waits = (keys[name].items("a list of steps", least=0) for name in ("heard", "waits"))
         for steps in (heard, waits):
             if steps and len(steps) != mission.robots:
@@ -483,10 +470,10 @@ class Mission:
         robot = whole(0, mission.robots - 1, what="the number of a robot")
         mission._set_aside([one.number(robot) for one in keys["aside"].items("a list of robots", least=0)])
         mission.closed = [one.value for one in keys["closed"].items("a list of cells", least=0)]
-        mission.seen, mission._reports.seen = read_seen(keys["seen"]), read_seen(keys["sees"])
+        mission.seen, mission._reports.seen = map_updates.read_seen(keys["seen"]), map_updates.read_seen(keys["sees"])
         mission._lessons.read(keys["odds"])
         for report in keys["reports"].items("a list of reports", least=0):
-            hand_on(mission.report, report)
+            map_updates.hand_on(mission.report, report)
         step = whole(NOT_BEGUN, mission.step, what="a step that is not to come")
         mission._reports.heard[: len(heard)] = [one.number(step) for one in heard]
         return mission
@@ -517,7 +504,7 @@ class Mission:
             cut_off = [[cell, int(was)] for cell, was in self.cut_off.items()]
             more |= {"wrecks": [*self._lessons.wrecks.items()], "cut_off": cut_off}
         more |= {} if self.outcome is None else {"ended": self.known()}
-        write_mission(path, self.world, state, more)
+        map_updates.write_mission(path, self.world, state, more)
         self._file = file
 
     def known(self) -> Json:

@@ -513,11 +513,10 @@ class World:
         """
         self._require_single_uncertainty("latent_hazard", over=Hazard)
         if learn and kind == "independent":
-            problem, expected = (
-                "hazards that are drawn for every visit cannot be estimated",
-                "persistent or consumed ones",
+            problem = "hazards drawn independently for every visit cannot be estimated"
+            raise WorldError(
+                problem, source=self.source, expected="persistent or consumed ones", fix="leave `learn` out"
             )
-            raise WorldError(problem, source=self.source, expected=expected, fix="leave `learn` out")
         hazard = make_hazard("persistent" if kind == "independent" else kind, q, h, self.free, self.source)
         hazard = replace(hazard, learn=bool(learn))
         return self._planning_on(hazard.threat, None if kind == "independent" else hazard)
