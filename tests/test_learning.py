@@ -674,7 +674,7 @@ def test_worlds_say_what_is_wrong_with_them_experience(tmp_path):
         world.with_sensor_range(2)
     with pytest.raises(WorldError, match="has no effect"):
         world.with_sensor_range({"range": 2, "detect": 0.1, "false_alarm": 0.1})
-    with pytest.raises(WorldError, match="drawn for every visit"):
+    with pytest.raises(WorldError, match="drawn independently"):
         world.with_latent_hazard("independent", 0.1, learn=True)
     with pytest.raises(WorldError, match="do not support this uncertainty"):
         world.with_prior_map(0.1, sensor_range=1)
