@@ -1,6 +1,6 @@
 """The tables and the picture of `docs/search.md`: drones that search SAREnv's probability maps, and lose drones.
 
-python docs/examples/search.py FOLDER [RUNS [PICTURE]]; 32 runs a map are behind the figures, 0: no drone is lost.
+python docs/examples/search.py FOLDER [RUNS [PICTURE]]; 16 runs a map are behind the figures, 0: no drone is lost.
 FOLDER holds `N/heatmap.npy` of SAREnv's data set (float64, cells of 30 m, sum 1); missing maps and Git LFS pointers are
 left out.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 import mrac_jax as mrac
 from analysis.pictures import ROBOT_COLOURS, picture_style
+from planner.failure_model import exposure_of, tolerances
 
 Cell = tuple[int, int]
 PIXEL, DISC = 30.0, 1800.0
@@ -29,8 +30,8 @@ SIGHT = 80 * np.tan(np.radians(22.5))
 SIDES = (66.0, 60.0)
 """Metres: sides of our cells. One swath (2 SIGHT = 66.3 m), and two pixels, where there is budget for all."""
 TEAMS = ((1, 100), (2, 100), (5, 100), (5, 250), (5, 300))
-"""Drones, and km of all drones together."""
-LOOPS = ("open", "closed")
+"""Drones, and km of all drones together. Losses are simulated for teams of MOST."""
+MOST = 5
 LOST = (0.1, 0.3, 0.5)
 RING = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
 """The eight blocks about the block in the centre."""
@@ -91,10 +92,11 @@ def swept(heat: NDArray[np.float64], km: float) -> float:
     return float(np.sort(heat, axis=None)[::-1][:pixels].sum())
 
 
-def grown(values: NDArray[np.float64], roots: Sequence[Cell], most: int) -> list[set[Cell]]:
+def grown(values: NDArray[np.float64], roots: Sequence[Cell], most: Sequence[int]) -> list[set[Cell]]:
     """Connected blocks of each drone: the drone with the fewest takes the most probable block next to its own.
 
-    Where all of these are improbable for certain (water), it goes towards the nearest block that is not.
+    Where none of these is probable at all (water, seen before) it goes towards the nearest block that is.
+    `most`: blocks of each drone.
     """
     owned, open_for = [{root} for root in roots], set(range(len(roots)))
     taken = set(roots)
@@ -102,7 +104,7 @@ def grown(values: NDArray[np.float64], roots: Sequence[Cell], most: int) -> list
     while open_for and wanted:
         drone = min(open_for, key=lambda one: len(owned[one]))
         beside = {block for of in owned[drone] for block in neighbours(of, values.shape)} - taken
-        if len(owned[drone]) >= most or not beside:
+        if len(owned[drone]) >= most[drone] or not beside:
             open_for.remove(drone)
             continue
         if beside & wanted:
@@ -190,8 +192,9 @@ class Search:
         threat = 1 - (1 - lost) ** (1 / (self.moves + 1))
         return mrac.World.create(np.where(free, threat, np.nan), value=values, cell_size=self.side, source="search")
 
-    def flown(self, world: mrac.World, runs: int, loop: str) -> NDArray[np.float64]:
+    def flown(self, lost: float, runs: int, loop: str) -> NDArray[np.float64]:
         """The likelihood of each of these rollouts, in which every drone flies at most its budget."""
+        world = self.world(lost)
         with TemporaryDirectory() as folder:
             file, log = Path(folder, "paths.json"), Path(folder, "runs.mcap")
             file.write_text(json.dumps({"paths": [path.tolist() for path in self.paths]}), encoding="utf-8")
@@ -199,41 +202,79 @@ class Search:
             cells = [run.trace.cells[: self.moves + 1] for run in mrac.read_rollouts(log)]
         return np.array([self.likelihood(np.stack(np.divmod(of.T, world.shape[1]), axis=2)) for of in cells])
 
+    def last_moves(self, lost: float, runs: int) -> NDArray[np.int64]:
+        """The move at which each drone is lost in each of these rollouts, int64 `[R, K]`, if its path goes that far.
 
-def planned(heat: NDArray[np.float64], drones: int, km: float, side: float) -> Search:
-    """Paths of at most eight drones from the centre: circuits around connected blocks of high probability."""
-    moves = int(km * 1000 / drones / side)
-    across = blocks_across(side, heat.shape)
-    values = on_cells(heat, side).reshape(across, 2, across, 2).sum(axis=(1, 3))
-    centre = (across // 2, across // 2)
-    roots = [centre]
-    if drones > 1:
-        roots = [
-            (centre[0] + down, centre[1] + right) for down, right in (RING[8 * one // drones] for one in range(drones))
-        ]
-    search = Search(heat, side, moves, [])
-    for root, blocks in zip(roots, grown(values, roots, -(-(moves + 1) // 4)), strict=True):
-        ways = [
-            np.array(path[: moves + 1])
-            for along in (0, 1)
-            for path in from_centre(centre, root, circuit(blocks, along))
-        ]
-        search.paths.append(max(ways, key=lambda path: search.likelihood([path])))
-    return search
+        The hazard is the same in every cell, so the failure threshold alone determines it.
+        """
+        visit = exposure_of(np.nanmax(self.world(lost).threat))
+        return -(-tolerances(0, np.arange(runs), len(self.paths)) // visit) - 1
+
+    def replanned(self, lost: float, runs: int) -> NDArray[np.float64]:
+        """The likelihood of these rollouts if this script plans the survivors' paths again after each loss."""
+        return np.array([self.likelihood(self.with_losses(of)) for of in self.last_moves(lost, runs).tolist()])
+
+    def with_losses(self, last: Sequence[int]) -> list[NDArray[np.int64]]:
+        """The cells of each drone by step if it is lost at its move `last`, and the others plan again."""
+        paths, alive = list(self.paths), set(range(len(self.paths)))
+        while alive:
+            ends = {drone: step_of(last[drone], paths[drone]) for drone in alive}
+            drone = min(ends, key=lambda one: ends[one])
+            step = ends[drone]
+            if step >= len(paths[drone]):
+                break
+            alive.remove(drone)
+            paths[drone] = paths[drone][: step + 1]
+            flown = [path[: step + 1] for path in paths]
+            heat = np.where(seen(map(self.metres, flown), self.heat.shape), 0, self.heat)
+            # A drone whose path has ended waits: its time runs, and there is no hazard.
+            left = sorted(alive)
+            waited = [np.pad(flown[one], ((0, step + 1 - len(flown[one])), (0, 0)), mode="edge") for one in left]
+            for one, path in zip(left, extended(replace(self, heat=heat, paths=waited)), strict=True):
+                paths[one] = path
+        return paths
 
 
-def from_centre(centre: Cell, root: Cell, following: dict[Cell, Cell]) -> list[list[Cell]]:
-    """The way from the centre's block to the root's, and the circuit from there in either direction."""
-    down, right = root[0] - centre[0], root[1] - centre[1]
-    start = (2 * centre[0] + (down > 0), 2 * centre[1] + (right > 0))
-    first = (start[0] + down, start[1] + right)
-    way = list(dict.fromkeys([start, (start[0], first[1])]))
-    if way[-1] == first:
-        way.pop()
+def step_of(move: int, path: NDArray[np.int64]) -> int:
+    """The step at which a drone makes its move of this number; beyond the path's end if it makes fewer."""
+    moves = np.r_[0, np.cumsum((np.diff(path, axis=0) != 0).any(axis=1))]
+    return int(np.searchsorted(moves, move))
+
+
+def extended(search: Search) -> list[NDArray[np.int64]]:
+    """The paths, each with a circuit from its last cell around blocks of high probability, within its budget."""
+    across = blocks_across(search.side, search.heat.shape)
+    values = on_cells(search.heat, search.side).reshape(across, 2, across, 2).sum(axis=(1, 3))
+    left = [search.moves + 1 - len(path) for path in search.paths]
+    roots = [(int(row) // 2, int(col) // 2) for row, col in (path[-1] for path in search.paths)]
+    found = []
+    for path, moves, blocks in zip(
+        search.paths, left, grown(values, roots, [-(-(of + 1) // 4) for of in left]), strict=True
+    ):
+        ways = [way[: moves + 1] for along in (0, 1) for way in both_ways(circuit(blocks, along), path[-1])]
+        found.append(np.concatenate([path[:-1], max(ways, key=lambda way: search.likelihood([way]))]))
+    return found
+
+
+def both_ways(following: dict[Cell, Cell], cell: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """The circuit from a cell on, in either direction."""
+    first = (int(cell[0]), int(cell[1]))
     around = [first]
     while (after := following[around[-1]]) != first:
         around.append(after)
-    return [[*way, *around], [*way, first, *around[:0:-1]]]
+    return [np.array(around), np.array([first, *around[:0:-1]])]
+
+
+def planned(heat: NDArray[np.float64], drones: int, km: float, side: float) -> Search:
+    """Paths of at most eight drones, from the block in the centre into as many of the blocks about it."""
+    middle = blocks_across(side, heat.shape) // 2
+    ways = []
+    for down, right in [RING[8 * one // drones] for one in range(drones)] if drones > 1 else [(0, 0)]:
+        row, col = 2 * middle + (down > 0), 2 * middle + (right > 0)
+        way = [(row, col), (row, col + right), (row + down, col + right)]
+        ways.append(np.array(list(dict.fromkeys(way))))
+    search = Search(heat, side, int(km * 1000 / drones / side), ways)
+    return replace(search, paths=extended(search))
 
 
 def best(heat: NDArray[np.float64], drones: int, km: float) -> Search:
@@ -241,7 +282,7 @@ def best(heat: NDArray[np.float64], drones: int, km: float) -> Search:
     return max((planned(heat, drones, km, side) for side in SIDES), key=lambda one: one.likelihood(one.paths))
 
 
-def main(folder: str, runs: str = "32", picture: str = "") -> None:
+def main(folder: str, runs: str = "16", picture: str = "") -> None:
     """Prints both tables, and draws the picture if it has a name."""
     files = sorted(Path(folder).glob("*/heatmap.npy"), key=lambda file: int(file.parent.name))
     maps = {file.parent.name: medium(file) for file in files if file.read_bytes()[:6] == b"\x93NUMPY"}
@@ -257,14 +298,14 @@ def main(folder: str, runs: str = "32", picture: str = "") -> None:
         draw(found[5, 100], list(maps), picture)
     if not int(runs):
         return
-    sys.stdout.write("| drones, km, lost | open | closed | closed - open |\n|---|---:|---:|---:|\n")
+    sys.stdout.write("| drones, km, lost | fixed paths | reallocation | planned again |\n|---|---:|---:|---:|\n")
     for (drones, km), searches in found.items():
+        if drones < MOST:
+            continue
         for lost in LOST:
-            flown = {
-                loop: np.array([one.flown(one.world(lost), int(runs), loop) for one in searches]) for loop in LOOPS
-            }
-            flown["gain"] = flown["closed"] - flown["open"]
-            cells = " | ".join(mean_of(values) for values in flown.values())
+            flown = [np.array([one.flown(lost, int(runs), loop) for one in searches]) for loop in ("open", "closed")]
+            flown.append(np.array([one.replanned(lost, int(runs)) for one in searches]))
+            cells = " | ".join(map(mean_of, flown))
             sys.stdout.write(f"| {drones}, {km}, {100 * lost:g} % | {cells} |\n")
             sys.stdout.flush()
 
