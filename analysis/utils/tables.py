@@ -23,6 +23,9 @@ from planner.formatting import chance, counted, in_percent
 from planner.settings import SETTINGS
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from planner.formatting import Pace
     from planner.plan.plan import Plan
     from planner.settings import Settings
@@ -183,7 +186,7 @@ def table_of(
     return make_table(names, title, cells, left=[one.title for one in shown if one.words], dropped=dropped, **look)
 
 
-def robots_table(plan: Plan, survival: Sequence[float], title: str | None = None) -> FittedTable:
+def robots_table(plan: Plan, survival: Sequence[float] | NDArray[np.float64], title: str | None = None) -> FittedTable:
     """A row for each robot of a plan; `survival`: the probability of each to survive its nominal path."""
     from planner.plan.plan import drive_of
 
