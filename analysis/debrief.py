@@ -416,7 +416,7 @@ SECTIONS: dict[str, tuple[str, dict[str, Callable[[Any], str]]]] = {
         "survives": in_percent, "lost": lambda lost: "lost" if lost else "", "gaps_in_time": str,
         "off_the_map": in_percent,
     }),
-    "areas": ("Areas of the plan", {"area": str, "robot": str, "level": str, "cells": str, "visited": in_percent}),
+    "areas": ("Areas of the plan with cells left", {"area": str, "robot": str, "level": str, "cells": str, "visited": in_percent}),
     "gaps": ("Gaps", {"gap": str, "cells": str, "area_m2": "{:,.0f}".format, "cell": str, "threat": in_percent}),
 }  # fmt: skip
 """Sections by their key in the JSON object: title, and how values of a row are shown, unless all are None."""
@@ -425,7 +425,8 @@ NOTE = "hazard: sum of -ln(1 - p) over the visits; survives: chance of that by t
 
 def report(done: Debrief) -> Report:
     """The report of a debrief."""
-    rows: dict[str, Sequence[Any]] = {"robots": done.robots, "areas": done.areas, "gaps": done.gap_rows}
+    left = [area for area in done.areas if area.visited < 1.0]
+    rows: dict[str, Sequence[Any]] = {"robots": done.robots, "areas": left, "gaps": done.gap_rows}
     parts = []
     for name, (title, _) in SECTIONS.items():
         cut = [f"A terminal shows {SHOWN} of {len(rows[name])}."] * (len(rows[name]) > SHOWN)
