@@ -416,7 +416,7 @@ SECTIONS: dict[str, tuple[str, dict[str, Callable[[Any], str]]]] = {
         "survives": in_percent, "lost": lambda lost: "lost" if lost else "", "gaps_in_time": str,
         "off_the_map": in_percent,
     }),
-    "areas": ("Areas of the plan with cells left", {"area": str, "robot": str, "level": str, "cells": str, "visited": in_percent}),
+    "areas": ("Areas with cells left", {"area": str, "robot": str, "level": str, "cells": str, "visited": in_percent}),
     "gaps": ("Gaps", {"gap": str, "cells": str, "area_m2": "{:,.0f}".format, "cell": str, "threat": in_percent}),
 }  # fmt: skip
 """Sections by their key in the JSON object: title, and how values of a row are shown, unless all are None."""
