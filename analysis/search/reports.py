@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import groupby
+from itertools import compress, groupby
 from math import ceil
 
 from rich.table import Table
@@ -11,7 +11,7 @@ from rich.table import Table
 from analysis.page.elements import Chart, Series
 from analysis.report.model import KeyFigure, Report, Section
 from analysis.report.result import map_text, search_report, seed_text, share_figure, sourced, team_figure
-from analysis.search.pareto import LANDMARKS, Front, Point, Setting, settings_of
+from analysis.search.pareto import LANDMARKS, Front, Point, Setting, efficient, settings_of
 from analysis.search.team_size import TeamPoint, TeamSize, TeamVerdict
 from analysis.statistics.estimates import ALPHA, Estimate, between, losses_sentence, of_all
 from analysis.utils.tables import Column, in_percents, json_text, make_table, table_of, without_level
@@ -345,7 +345,9 @@ def _front_chart(front: Front, which: str) -> Chart:
     # Points far below the front would only stretch the axes.
     least = min(front.points[place].coverage.mean for place in _cheap(front))
     seen = [point for point in front.points if point.coverage.mean >= least]
-    shown = {name: [p for p in seen if p.setting.family == family] for family, name in TITLES.items()}
+    families = {name: [p for p in seen if p.setting.family == family] for family, name in TITLES.items()}
+    # A family's own front: where cells have to be delivered, a later end may deliver less and lose more.
+    shown = {name: [*compress(own, efficient([p.figures for p in own]))] for name, own in families.items()}
     shown[SELECTED] = [] if front.picked is None else [front.picked]
     return Chart(
         "Coverage and robots lost" if robots else "Coverage and mission time",
