@@ -461,7 +461,8 @@ def record(
         how |= {name: options[name] for name in ("seed", "engine")} | {"first_only": _first_only(options)}
         how["scenario"] = scenario_text(of.source)
         how["step_seconds"] = of.with_pace(step_seconds).pace.seconds or 1.0
-        request = Request(chosen, picks, usual if rollouts is None else as_whole(rollouts), **how)
+        how["evaluated"] = usual if rollouts is None else as_whole(rollouts)
+        request = Request(ids=chosen, picks=picks, **how)
         state = None if state_at is None else state_of_rollout(of, given, request, state_at)
         done = record_rollouts(of, given, request, path, progress=tell, doing=doing)
         done.files = [done.path, layout_name(done.path)]

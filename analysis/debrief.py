@@ -439,7 +439,7 @@ def report(done: Debrief) -> Report:
     if done.world.georeference is not None:
         saved["flown.geojson"] = partial(flown_geojson, done)
     return Report(
-        "debrief", "debrief", f"{done.world.name}: what was flown?", _headline(done), partial(as_json, done),
+        "debrief", "debrief", f"{done.world.name}: what was flown?", _headline(done), done,
         findings=_findings(done), figures=_key_figures(done),
         heading=[f"{map_text(done.world, done.cells, len(done.flights))}, tracks {done.tracks}"],
         picture=lambda: _map(done), parts=parts, notes=done.notes, pace=done.world.pace,

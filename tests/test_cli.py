@@ -38,10 +38,6 @@ from planner.world.world import World, load_world_file
 # The command line as a user meets it: answers, JSON, files, and one clear line for everything that is wrong.
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
-KEYS = {
-    "loop", "engine", "robots", "starts", "cells", "rollouts", "seed", "coverage", "time", "outcomes", "alive",
-    "bounds", "exact", "rollouts_per_second", "compile_seconds", "version",
-}  # fmt: skip
 
 
 def answer(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
@@ -50,7 +46,6 @@ def answer(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
 
 def test_open_loop_answer_is_the_closed_form(capsys: pytest.CaptureFixture[str]) -> None:
     found = answer(capsys, WORLD, "--robots", "8", "--loop", "open", "--rollouts", "20000")
-    assert found.keys() >= KEYS
     assert (found["loop"], found["robots"], found["rollouts"]) == ("open", 8, 20000)
     known = load_fixture("contiguous-14x23-1000-k8").answers
     assert found["cells"] == known["cells"]

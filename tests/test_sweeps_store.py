@@ -19,7 +19,6 @@ from analysis.cli.app import run
 from analysis.sampling import RolloutChoices
 from analysis.sweeps import cases
 from analysis.sweeps import store as store_file
-from analysis.sweeps.report import notes_of
 from analysis.sweeps.results import collect
 from analysis.sweeps.spec import read_spec
 from analysis.sweeps.store import Store, StoreError
@@ -282,7 +281,7 @@ def test_a_store_of_release_0_3_goes_on_where_its_rules_are_todays(tmp_path: Pat
         assert len(store) == 5
         again = swept(tmp_path, SAME, store)
         assert (again.finished.rollouts, again.finished.reused, again.finished.earlier) == (0, 128, 0)
-        assert len(store) == 5 and "rules" not in " ".join(notes_of(again))
+        assert len(store) == 5 and "rules" not in " ".join(again.notes)
         # where `plan_on` is given, or nothing changes that robots are told of, the rules are those of then
         moving = "moving_threats: [{walk: 0.5, h: threats}], plan_on: own"
         for more in ("phases: [{from: 3, threats: []}], plan_on: first", moving):
@@ -299,7 +298,7 @@ def test_it_is_never_mixed_with_runs_by_rules_that_changed(tmp_path: Path, name:
         assert any(note.startswith("3 runs follow rules that release 0.4 changed (phases") for note in told.notes)
         made = swept(tmp_path, RENEWED[name], store)
         assert (made.finished.rollouts, made.finished.reused, made.finished.earlier) == (64, 0, 1)
-        assert "the store holds 1 run of these by rules that release 0.4 changed" in notes_of(made)[-1]
+        assert "the store holds 1 run of these by rules that release 0.4 changed" in made.notes[-1]
         assert len(store) == 6
         again = swept(tmp_path, RENEWED[name], store)
         assert (again.finished.rollouts, again.finished.reused, again.finished.earlier) == (0, 64, 1)

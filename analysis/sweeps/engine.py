@@ -22,7 +22,6 @@ from analysis.sweeps.store_files import cut
 from analysis.utils.pool import Pool, wanted_processes
 from planner.arguments import BLOCK, MOST_ROLLOUTS
 from planner.errors import UsageError
-from planner.files import Json
 from planner.formatting import counted
 from planner.world.start_rule import BEFORE, NOW, RELEASES
 
@@ -86,10 +85,7 @@ class Finished:
     seconds: float
     partial: bool = False
     earlier: int = 0
-
-    def to_json(self) -> Json:
-        """Its keys in JSON objects."""
-        return {"seconds": self.seconds, "rollouts_run": self.rollouts, "rollouts_reused": self.reused}
+    json_keys = "seconds rollouts_run=rollouts rollouts_reused=reused"
 
     @property
     def description(self) -> str:
@@ -101,6 +97,7 @@ class Swept(Result):
     """A result of a sweep; `finished`: its summary."""
 
     finished: Finished
+    json_keys = "*finished"
 
     @property
     def partial(self) -> bool:  # type: ignore[override]
