@@ -480,10 +480,7 @@ def ranges(numbers: list[int]) -> str:
 
 
 def group_labels(
-    cells: NDArray[np.int64],
-    shape: tuple[int, int],
-    points: float,
-    name_of: Callable[[list[int]], str] = robots_name,
+    cells: NDArray[np.int64], shape: tuple[int, int], points: float, name_of: Callable[[list[int]], str] = robots_name
 ) -> list[Label]:
     """Labels for `cells` `[M, 2]` that neither overlap nor leave a map of `shape`; `points`: the side of a cell.
 

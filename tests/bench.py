@@ -7,8 +7,6 @@ its device; with arguments only the named ones. Before timing, the engines' tall
 they are measured: median, least and most.
 """
 
-from __future__ import annotations
-
 import resource
 import statistics
 import sys

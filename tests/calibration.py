@@ -7,8 +7,6 @@ each is asked for so many times, of another seed each time. A table: of each fig
 hold the truth, of all worlds together and of each. Status 1 where it is less than LEAST on one of them.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ Everything is drawn with Threefry (`planner.world.generate.Stream`) from numbers
 same everywhere; a test pins its hash. Axis letters: `K` robots.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Shared by all tests: the worlds with known answers, and random small worlds for property tests."""
 
-from __future__ import annotations
-
 import gc
 import json
 import os

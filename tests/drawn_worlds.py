@@ -1,7 +1,5 @@
 """Small missions with any of the options that a closed loop has, drawn by a number: what engines are compared on."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -178,7 +176,6 @@ def moving_world(
 def in_rows(world: World) -> tuple[list[list[float | None]], list[Threat]]:
     """The world as the oracle has it."""
     movers, width = world.movers, world.shape[1]
-    assert movers is not None
     grid = [[None if np.isnan(p) else float(p) for p in row] for row in movers.own]
 
     def cell(number: int) -> tuple[int, int]:
@@ -213,7 +210,6 @@ def drawn(seed: int, robots: int = 3) -> tuple[World, NDArray[np.int64], tuple[s
 def assert_as_enumerated(plan: Plan, world: World, wanted: dict[str, Counter[Any]]) -> None:
     """The tree's chances are those that were enumerated."""
     tree = grow_tree(compile_closed_loop(plan, world), 0.0, 10**7)
-    assert tree is not None
     for name in ("visited", "survived", "time", "alive"):
         counts = getattr(tree.counts, name)
         found = {value: count / WHOLE for value, count in enumerate(counts.tolist()) if count}

@@ -4,8 +4,6 @@
 the present commit: another commit since then changed no file of the packages or of `tests`.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess

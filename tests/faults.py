@@ -9,8 +9,6 @@ whole; in the end all is, byte for byte, as if nobody had killed it. A flipped b
 names the file.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import ctypes

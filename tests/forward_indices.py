@@ -3,8 +3,6 @@
 For a process of its own, in which Numba compiles nothing.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Policies that other processes can import."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -173,7 +171,6 @@ def play_both_ways(
         for mine, run in zip(trace_rollouts(loop, seed, range(rollouts)), runs, strict=True):
             assert_same_trace(mine, run.trace, world.source)
         tally, singles = run_range(loop, seed, 0, rollouts, threads=1, singles=True)
-        assert singles is not None
         columns = np.transpose([(run.step, run.outcome, *run.raw.marks[["bisected", "divided"]]) for run in runs])
         for name, column in zip(("time", "outcome", "bisected", "divided"), columns.tolist(), strict=True):
             assert getattr(singles, name).tolist() == column, (world.source, name)

@@ -1,7 +1,5 @@
 """A mission for `tests/test_driving.py` to kill: it drives itself by luck a visit, from its file, to its end."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -3,8 +3,6 @@
 python tests/make_examples.py [FOLDER]
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The open loop told plainly: robots walk their paths step by step. Shares no code with the engines; slow."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from functools import cache

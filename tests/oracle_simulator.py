@@ -4,8 +4,6 @@ Sections 1, 3, 5 and 11, and nothing beyond them: no values, limits, ranges, typ
 with the product. Cells are (row, col), sets are sets. The allocation at t = 0 is data, and so is who is stopped.
 """
 
-from __future__ import annotations
-
 import heapq
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence

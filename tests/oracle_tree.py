@@ -1,7 +1,5 @@
 """The closed loop as a tree of everything that can happen, from the plain oracle alone."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Reads a page as a browser would, strictly; a real browser without a window; what a refused command says."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json
@@ -11,7 +9,7 @@ from html.parser import HTMLParser
 from io import BytesIO
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 from urllib.parse import urlsplit
 
 import pytest
@@ -179,7 +177,7 @@ class Browser:
         self._messages: list[str] = []
         self._requests: list[str] = []
 
-    def __enter__(self) -> Browser:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:

@@ -1,7 +1,5 @@
 """Tasks for a pool of processes: they import next to nothing, so that processes start quickly."""
 
-from __future__ import annotations
-
 import os
 import random
 import time

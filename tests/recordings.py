@@ -1,7 +1,5 @@
 """Recordings of small worlds, rewritten with something changed, and small logs with a known layout."""
 
-from __future__ import annotations
-
 import io
 import struct
 from collections.abc import Callable
@@ -13,7 +11,7 @@ from typing import Any
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.reader import NonSeekingReader, SeekingReader
-from mcap.records import Chunk, Message
+from mcap.records import Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from analysis.recording.container import Log, LogMessage, LogSchema, LogWriter, open_log
@@ -176,7 +174,6 @@ def parts_of(data: bytes) -> list[Part]:
         end, said = at + 9 + length, ()
         if opcode == Opcode.CHUNK:
             record = next(StreamReader(io.BytesIO(data[at:end]), skip_magic=True, emit_chunks=True).records)
-            assert isinstance(record, Chunk)
             inner = [message for message in breakup_chunk(record, validate_crc=True) if isinstance(message, Message)]
             said = tuple((topics[m.channel_id], m.log_time, m.sequence, m.data) for m in inner)
         found.append(Part(opcode, at, end, said))
@@ -186,7 +183,6 @@ def parts_of(data: bytes) -> list[Part]:
 
 def topics_of(data: bytes) -> dict[int, str]:
     summary = SeekingReader(io.BytesIO(data)).get_summary()
-    assert summary is not None
     return {number: channel.topic for number, channel in summary.channels.items()}
 
 

@@ -4,8 +4,6 @@ A code line holds a token that is neither a comment nor part of a docstring. The
 exit status is 1 where one is exceeded.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import json

@@ -1,7 +1,5 @@
 """Damaged inputs, kills and full disks, random settings in every way: a few of what the scripts try at length."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Pages of the commands in Chromium, at the widths of a phone, a tablet and a desk: nothing is cut, all answers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Formulas against the truth: `check`, counterexamples, the fixtures, scaled threats."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """`mrac-jax compare`: differences on common random numbers, against exact ones and against themselves."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """`debrief`: tracks of every kind against the rollouts that they are of; noise, gaps, clocks; what is refused."""
 
-from __future__ import annotations
-
 import json
 import math
 from datetime import UTC, datetime, timedelta
@@ -157,7 +155,6 @@ def test_a_rollout_debriefed_gives_its_own_coverage(tmp_path: Path, flown: tuple
     rules = {"$defs": schema()["$defs"], "$ref": "#/$defs/debrief.Debrief"}
     Draft202012Validator(rules).validate(json.loads(json.dumps(found)))
     # The plan of the rest covers what is left, with the robots that are left.
-    assert done.rest is not None
     rest = {int(cell) for robot, path in enumerate(done.rest.robots) if robot not in dead for cell in path.path}
     assert rest >= {int(cell) for gap in done.gaps for cell in gap}
 
@@ -278,7 +275,7 @@ LINE = '{"type":"FeatureCollection","features":[{"properties":%s,"geometry":{"ty
     [
         ("t.csv", f"robot,x,y\n0,{HERE}\n", "", "robot 0 has no times; expected a time for each place"),
         ("t.csv", f"time,x,y\n0,{HERE}\n", "", "has the columns time, x, y; expected robot, a time or step"),
-        ("t.csv", f"{HEAD}0,noon,{HERE}\n", "", "a time is 'noon'"),
+        ("t.csv", f"{HEAD}0,noon,{HERE}\n", "", "line 2: time is 'noon'"),
         ("t.csv", f"{HEAD}0,0,1,1\n", "", "no place of robot 0 is on a free cell"),
         ("t.csv", f"{HEAD}5,0,{HERE}\n", "--plan p.json", "robot 5 is none of the plan's 2; expected robots 0 to 1"),
         ("t.csv", f"{HEAD}0,0,{HERE}\n", "--lost 3", "--lost 3; expected robots of t.csv: 0"),

@@ -1,7 +1,5 @@
 """README.md, the documents and CONTRIBUTING.md: examples run, files that are named are there."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

@@ -1,7 +1,5 @@
 """The front door, `import mrac_jax as mrac`: names, laziness, the everyday jobs, errors in its own words."""
 
-from __future__ import annotations
-
 import os
 import pkgutil
 import re

@@ -1,7 +1,5 @@
 """Driving: a mission that is killed loses nothing; lines of JSON in any shape; the examples; what will come of it."""
 
-from __future__ import annotations
-
 import collections
 import importlib.util
 import io
@@ -308,7 +306,7 @@ def test_the_ros_node_reports_cells_and_sends_goals(monkeypatch: pytest.MonkeyPa
         def __init__(self) -> None:
             self.at = clock[0]
 
-        def __sub__(self, other: Moment) -> Stub:
+        def __sub__(self, other: Any) -> Stub:
             return Stub(nanoseconds=(self.at - other.at) * 1e9)
 
     class Node(Stub):

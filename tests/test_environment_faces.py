@@ -1,7 +1,5 @@
 """PettingZoo and Gymnasium, and the example that learns by PPO."""
 
-from __future__ import annotations
-
 import copy
 import importlib.util
 import os
@@ -313,7 +311,6 @@ def ppo() -> Any:
     path = Path(__file__).parent.parent / "docs" / "examples" / "ppo.py"
     assert len(path.read_text().splitlines()) <= 200
     spec = importlib.util.spec_from_file_location("ppo", path)
-    assert spec is not None and spec.loader is not None
     module = sys.modules["ppo"] = importlib.util.module_from_spec(spec)  # its dataclass looks itself up
     spec.loader.exec_module(module)
     return module

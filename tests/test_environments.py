@@ -1,7 +1,5 @@
 """Environments: the one in JAX against a plain twin, and areas as actions."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """`evaluate` with uncertain maps, unknown maps, hazards that are learned, moving threats, phases, ranges and states."""
 
-from __future__ import annotations
-
 import json
 from collections import deque
 from collections.abc import Callable

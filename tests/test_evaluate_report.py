@@ -1,7 +1,5 @@
 """What an evaluation says: words, the table on the terminal, coverage over time."""
 
-from __future__ import annotations
-
 import html
 import re
 from collections.abc import Callable, Iterable
@@ -37,7 +35,7 @@ from planner import formatting
 from planner.formatting import UNPACED, ceiled, chance, counted, duration, floored, inside, percent, share
 from planner.make_plan import make_plan
 from planner.plan.plan import NO_MORE, Plan, RobotPlan
-from planner.plan.state import NO_CELLS, MissionState, RobotState
+from planner.plan.state import MissionState, RobotState
 from planner.settings import Settings
 from planner.simulator.codes import Outcome
 from planner.tally import Tally, tally_key
@@ -83,7 +81,7 @@ def test_losses_in_words_and_in_the_headline(alive: tuple[int, ...]) -> None:
 def resumed(alive: list[int]) -> Evaluation:
     """Three robots, one of which the state says is dead: it is none of those that are lost in the runs."""
     whole = evaluation_of(alive)
-    robots = tuple(RobotState(0, status, -1, NO_CELLS, NO_CELLS, 0, False) for status in ("dead", "idle", "idle"))
+    robots = tuple(RobotState(0, status) for status in ("dead", "idle", "idle"))
     state = MissionState(whole.world.shape, whole.world.sha256, 0, np.array([0]), np.array([0]), robots)
     return replace(whole, plan=replace(whole.plan, state=state))
 
@@ -567,9 +565,7 @@ def assert_is_of(band: Band, cut: Callable[[int], Tally], places: Iterable[int])
 
 
 def band_of(world: World, plan: Plan, choices: RolloutChoices) -> Band:
-    found = evaluate(world, plan, choices, band=True).outputs.get("band")
-    assert found is not None
-    return found
+    return evaluate(world, plan, choices, band=True).outputs["band"]
 
 
 @pytest.mark.parametrize("choices", CHOICES, ids=lambda choices: f"{choices.loop}-{choices.seed}")

@@ -1,7 +1,5 @@
 """Exact values: certain missions, what an evaluation calls exact, trees of all that can happen."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -423,7 +421,6 @@ def test_expectations_are_those_of_an_independent_enumeration(name: str) -> None
     world, exact = world_of(name), known(name)["exact"]
     loop = compile_closed_loop(make_plan(world, world.starts), world)
     tree = grow_tree(loop, 1e-7, 10**6)
-    assert tree is not None
     for figure in ("visited", "survived"):
         low, high = tree.covered(figure)
         assert low - 1e-8 <= exact[figure] <= high + 1e-8
@@ -447,7 +444,6 @@ def test_trees_are_what_the_oracle_enumerates(robots: int, settings: dict[str, A
     if "range" not in settings:  # robots with a range are not the plain oracle's
         oracle = closed_loop_exact(plan, world, first_only=first_only)
     tree = grow_tree(compile_closed_loop(plan, world, first_only=first_only), 1e-7, 10**6)
-    assert tree is not None
     for figure in ("visited", "survived"):
         low, high = tree.covered(figure)
         assert low - 1e-5 <= getattr(oracle, figure) <= high + 1e-5
@@ -472,7 +468,6 @@ def test_a_tree_is_what_rollouts_come_to_cell_by_cell() -> None:
     plan = make_plan(world, place_starts(world, 2)[0])
     loop = compile_closed_loop(plan, world)
     tree, count = grow_tree(loop, SLACK * len(loop.cells), 10**6), 100_000
-    assert tree is not None
     tally = run_range(loop, 6, 0, count)[0]
     low, high = tree.covered("visited")
     middle = float(tally.visited @ np.arange(len(tally.visited))) / count
@@ -495,8 +490,6 @@ def test_what_is_left_out_is_between_least_and_most() -> None:
     world = random_world(14, 14, ThreatPattern("scattered", 4, (0.1, 0.2), 3), threats=0.3)
     loop = compile_closed_loop(make_plan(world, place_starts(world, 3)[0]), world)
     fine, coarse = grow_tree(loop, 1e-4, 10**7), grow_tree(loop, 1.0, 10**7)
-    assert fine is not None
-    assert coarse is not None
     assert coarse.cut > fine.cut
     assert coarse.histories < fine.histories
     for figure in ("visited", "survived"):
@@ -521,7 +514,6 @@ def test_nothing_is_left_out_of_teams_of_two() -> None:
     world = random_world(20, 20, ThreatPattern("scattered", seed=1))
     loop = compile_closed_loop(make_plan(world, place_starts(world, 2)[0]), world)
     tree = grow_tree(loop, 1.0, 10**6)
-    assert tree is not None
     assert tree.left == 0
     assert tree.covered("visited")[0] == tree.covered("visited")[1]
 
@@ -573,8 +565,6 @@ def test_how_long_an_exact_value_is_looked_for() -> None:
     plan = make_plan(world, place_starts(world, 3)[0])
     assert tree_for(plan, world, seconds=0.001) is None
     fine, usual = tree_for(plan, world, slack=1e-7), tree_for(plan, world)
-    assert fine is not None
-    assert usual is not None
     assert fine.slack <= 1e-7 * 300 < usual.slack
     for wrong in ("always", 0, True):
         with pytest.raises(UsageError, match="exact"):

@@ -1,7 +1,5 @@
 """Failure thresholds, wear, the generator, rollout groups that split."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math
@@ -148,7 +146,6 @@ def test_rollouts_are_those_of_an_independent_simulator(name: str) -> None:
     plan = make_plan(world, world.starts)
     python, loop = PythonLoop(plan, world), compile_closed_loop(plan, world)
     _, singles = run_range(loop, seed, 0, len(answers["rollouts"]), singles=True, threads=1)
-    assert singles is not None
     for one in answers["rollouts"]:
         rollout, run = one["id"], python.run(seed, one["id"])
         expected = [one[what] for what in ("visited", "survived", "time", "alive")]
@@ -263,7 +260,6 @@ def test_worn_rollouts_are_those_of_an_independent_simulator(name: str) -> None:
     assert found.tolist() == weibull_shape["tolerance"]
     python, loop = PythonLoop(plan, world), compile_closed_loop(plan, world)
     _, singles = run_range(loop, seed, 0, len(weibull_shape["rollouts"]), singles=True, threads=1)
-    assert singles is not None
     for one in weibull_shape["rollouts"]:
         expected = [one[what] for what in FIGURES]
         run = python.run(seed, one["id"])
@@ -277,7 +273,6 @@ def test_worn_rollouts_are_those_of_an_independent_simulator(name: str) -> None:
 def test_worn_means_are_those_of_everything_that_can_happen(name: str) -> None:
     (world, plan), exact = worn_plan(name), known(name)["weibull_shape"]["exact"]
     tree = grow_tree(compile_closed_loop(plan, world), 1e-6, 10**6)
-    assert tree is not None
     for figure in ("visited", "survived"):
         low, high = tree.covered(figure)
         assert low - 1e-4 <= exact[figure] <= high + 1e-4
@@ -367,7 +362,6 @@ def test_the_rest_of_a_mission_goes_on_from_its_hazard() -> None:
     rest = make_plan(ROW, saved.starts, plan.settings, state=saved)
     loop = compile_closed_loop(rest, ROW)
     tally, singles = run_range(loop, 9, 0, 20_000, singles=True)
-    assert singles is not None
     run = PythonLoop(rest, ROW).run(9, 7)
     assert [run.visited.sum(), run.step] == [singles.visited[7], singles.time[7]]
     exact = open_loop_exact(rest, ROW)
@@ -375,7 +369,6 @@ def test_the_rest_of_a_mission_goes_on_from_its_hazard() -> None:
         middle, se = mean(getattr(tally, what))
         assert abs(middle - value) <= 5 * se, what
     _, singles = run_range(compile_closed_loop(plan, ROW), 2, 0, 20_000, singles=True)
-    assert singles is not None
     alike = singles.visited[(singles.time > step) | (singles.alive > 0)]
     assert abs(alike.mean() - exact.visited) <= 5 * alike.std() / math.sqrt(len(alike))
 

@@ -1,7 +1,5 @@
 """`mrac_jax.functional`: exact values, rollouts equal to the other engines', the contract of transformations."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace

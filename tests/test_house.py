@@ -1,7 +1,5 @@
 """The repository: imports, what nobody uses, the table of slow tests, releases, the benchmarks."""
 
-from __future__ import annotations
-
 import ast
 import io
 import re
@@ -11,7 +9,7 @@ import sys
 import tokenize
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -52,6 +50,12 @@ KITS = ("statistics", "theory", "page", "pictures", "utils", "report", "exportin
 @cache
 def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text())
+
+
+@cache
+def nodes_of(path: Path) -> list[ast.AST]:
+    """All nodes of a file: to walk it takes as long as to parse it."""
+    return list(ast.walk(parsed(path)))
 
 
 def statements(body: list[ast.stmt]) -> Iterator[ast.AST]:
@@ -206,10 +210,10 @@ PRINTED = re.compile(
 """Files that say what a command prints."""
 
 
-def strings_of(tree: ast.AST) -> Iterator[str]:
+def strings_of(nodes: list[ast.AST]) -> Iterator[str]:
     """Texts in a file, but for docstrings."""
-    told = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-    for node in ast.walk(tree):
+    told = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+    for node in nodes:
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in told:
             yield node.value
 
@@ -224,7 +228,7 @@ def test_errors_name_arguments_not_options() -> None:
     for module, path in sources().items():
         if room_of(module) in {f"analysis.{face}" for face in FACES} or PRINTED.fullmatch(path.stem):
             continue
-        for text in strings_of(parsed(path)):
+        for text in strings_of(nodes_of(path)):
             checked += 1
             said = re.sub(r"`.*?`|mrac-jax .*", "", text)  # commands as they are typed
             if module not in OF_OPTIONS and not re.fullmatch(r"--[a-z-]+", said):
@@ -240,31 +244,34 @@ OURS = {"Protocol", "NamedTuple", "Enum", "IntEnum", "Exception", "object"}
 """Bases from elsewhere that call no method of their own accord."""
 
 
-def names_in(tree: ast.AST) -> Counter[str]:
-    """How often each name is used, looked up as "module:name" too; who imports it does not yet use it."""
-    texts = (node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str))
-    found = Counter(text.partition(":")[2] for text in texts if re.fullmatch(r"[\w.]+:\w+", text))
-    found.update(word for text in texts_of_keys(tree) for word in re.findall(r"\w+", text))
-    nodes = (node for node in ast.walk(tree) if isinstance(node, ast.Name | ast.Attribute))
-    return found + Counter(node.id if isinstance(node, ast.Name) else node.attr for node in nodes)
+def names_in(nodes: Iterable[ast.AST]) -> Counter[str]:
+    """How often each name is used, looked up as "module:name" too; who imports it does not yet use it.
+
+    The keys of JSON objects (`planner.json_objects`) name attributes.
+    """
+    found = Counter[str]()
+    for node in nodes:
+        if isinstance(node, ast.Name | ast.Attribute):
+            found[node.id if isinstance(node, ast.Name) else node.attr] += 1
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and re.fullmatch(r"[\w.]+:\w+", node.value):
+            found[node.value.partition(":")[2]] += 1
+        elif isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "json_keys":
+            found.update(re.findall(r"\w+", ast.literal_eval(node.value)))
+    return found
 
 
-def texts_of_keys(tree: ast.Module) -> Iterator[str]:
-    """The keys of JSON objects (`planner.json_objects`), which name attributes."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "json_keys":
-            yield ast.literal_eval(node.value)
-
-
-def definitions(tree: ast.Module, classes: set[str]) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef]:
+def definitions(
+    nodes: list[ast.AST], classes: set[str]
+) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef]:
     """Functions, classes and methods, but for those whose name others know: what overrides a class from elsewhere."""
     overriding: set[ast.stmt] = set()
     strange: set[str] = set()
-    for node in ast.walk(tree):
-        bases = {re.sub(r"\[.*", "", ast.unparse(base)) for base in getattr(node, "bases", ())}
-        if isinstance(node, ast.ClassDef) and (bases - classes or bases & strange):
-            strange.add(node.name)
-            overriding |= set(node.body)
+    for node in nodes:
+        if isinstance(node, ast.ClassDef):
+            bases = {re.sub(r"\[.*", "", ast.unparse(base)) for base in node.bases}
+            if bases - classes or bases & strange:
+                strange.add(node.name)
+                overriding |= set(node.body)
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) and node not in overriding:
             decorators = (ast.unparse(one.func if isinstance(one, ast.Call) else one) for one in node.decorator_list)
             if not node.name.endswith("_") and not any(map(REGISTERED.fullmatch, decorators)):
@@ -279,18 +286,16 @@ def test_nothing_is_there_that_nobody_uses() -> None:
     """Tests are nobody: an oracle that they alone ask lives with them. Documents name what is for who writes Python,
     templates what they show.
     """
-    trees = [parsed(path) for path in sources().values()]
-    classes = {node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef)} | OURS
-    uses = Counter[str]()
-    for tree in trees:
-        uses.update(names_in(tree))
+    files = [nodes_of(path) for path in sources().values()]
+    classes = {node.name for nodes in files for node in nodes if isinstance(node, ast.ClassDef)} | OURS
+    uses = names_in(node for nodes in files for node in nodes)
     documents = " ".join(path.read_text() for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")))
     code = " ".join(re.findall(r"```.*?```|`[^`]*`", documents, re.DOTALL))
     code += " ".join(re.findall(r"{[{%].*?[%}]}", " ".join(path.read_text() for path in pages("html"))))
     named = {*re.findall(r"\w+", code), *NAMED}
-    defined = [node for tree in trees for node in definitions(tree, classes)]
+    defined = [node for nodes in files for node in definitions(nodes, classes)]
     rare = [node for node in defined if node.name not in named and uses[node.name] < SELDOM]
-    unused = [node.name for node in rare if uses[node.name] <= names_in(node)[node.name]]
+    unused = [node.name for node in rare if uses[node.name] <= names_in(ast.walk(node))[node.name]]
     assert len(defined) > 2000 and len(NAMED) <= 10
     assert not unused
 

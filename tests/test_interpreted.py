@@ -1,7 +1,5 @@
 """The simulator as Python and the compiled one are the same, event for event, whatever the mission."""
 
-from __future__ import annotations
-
 import sys
 from collections import Counter
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Interrupts, and how the process of a command ends."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import signal

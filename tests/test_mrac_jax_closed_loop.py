@@ -1,7 +1,5 @@
 """The JAX closed loop against the compiled simulator, and its own contract."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -59,7 +57,6 @@ def assert_same_runs(engine: JaxClosedLoop, loop: ClosedLoop, rollouts: int, wha
     """Tally and results of the engine are the compiled simulator's, of this loop; returns the results."""
     tally, results = engine.run(0, rollouts)
     expected, singles = run_range(loop, engine.seed, 0, rollouts, singles=True)
-    assert singles is not None
     # JAX does not count cells delivered.
     assert_same_results(results, replace(singles, delivered=singles.delivered[:0]), what)
     assert_same_tally(tally, replace(expected, delivered=expected.delivered[:0]), what)
@@ -175,7 +172,6 @@ def test_robots_that_wear_and_differ() -> None:
 def test_robots_that_wear_go_on_with_what_they_have_borne() -> None:
     world, plan = case(1)
     state = PythonLoop(plan, world).state_at(11, 4, 2)
-    assert state is not None
     said = state.to_json()
     for number, robot in enumerate(said["robots"]):
         robot["exposure"] = 0.1 * number
@@ -470,7 +466,6 @@ def test_rollouts_as_a_pure_function() -> None:
     decisions = book(one.world, one.plan(), seed=one.seed, rollouts=size, lanes=LANES)
     drawn = thresholds(one.seed, np.arange(size), loop.robots)
     singles = run_range(loop, one.seed, 0, size, singles=True)[1]
-    assert singles is not None
     run = jax.jit(closed_rollouts)
 
     def check(found: Any) -> None:

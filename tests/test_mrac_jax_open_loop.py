@@ -1,7 +1,5 @@
 """The open-loop engines, their compile step and their generator."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import subprocess

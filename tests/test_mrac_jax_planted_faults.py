@@ -4,8 +4,6 @@ A fault is one place of one source file, changed in a copy of the package. A pro
 that one engine, and compares it with what the other engine, which has no fault, came to here.
 """
 
-from __future__ import annotations
-
 import os
 import pickle
 import re

@@ -1,7 +1,5 @@
 """Pages: their parts, those of evaluations and checks, the runs that they play."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

@@ -1,7 +1,5 @@
 """Pictures: of evaluations, of `mrac.plots`, of reports, of the documents."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

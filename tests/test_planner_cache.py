@@ -4,8 +4,6 @@ What the compiled simulator asks of Numba: no reference counts, no floating poin
 what it promises in return: no negative index, rows of known lengths.
 """
 
-from __future__ import annotations
-
 import ast
 import errno
 import importlib
@@ -72,7 +70,6 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.delenv(NO_CACHE, raising=False)
     monkeypatch.setattr("numba.config.CACHE_DIR", "")
     folder = cache_folder()
-    assert folder is not None
     yield folder / sources_hash()
 
 

@@ -1,7 +1,5 @@
 """The compiled classical simulator against it as Python, the fixtures and exact values; and its own contract."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any, Literal
 
@@ -73,7 +71,6 @@ def compare(
 def test_threshold_runs_are_the_fixtures(fixture: Fixture) -> None:
     known = fixture.answers["threshold_runs"]
     _, singles = run_range(fed(fixture), known["seed"], 0, len(known["runs"]), singles=True)
-    assert singles is not None
     columns = [getattr(singles, name) for name in known["columns"]]
     assert np.stack(columns, axis=1).tolist() == known["runs"]
     run = PythonLoop(fixture.plan, fixture.world).run(known["seed"], 0)
@@ -94,7 +91,6 @@ def test_both_kinds_of_share_happen_and_are_counted() -> None:
     compare(world, plan, 40)
     loop = compile_closed_loop(plan, world)
     whole, first, rest = (run_range(loop, 3, *ids, singles=True)[1] for ids in ((0, 40), (0, 15), (15, 25)))
-    assert whole is not None and first is not None and rest is not None
     assert whole.bisected.sum() > whole.divided.sum() > 0
     joined = RolloutResults.join([first, rest])
     assert [joined.bisected.tolist(), joined.divided.tolist()] == [whole.bisected.tolist(), whole.divided.tolist()]
@@ -144,7 +140,6 @@ def shared(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> N
 
 def rolled(loop: ClosedLoop, start: int = 0, count: int = 3000, threads: int = 1) -> tuple[Tally, RolloutResults]:
     tally, singles = run_range(loop, 9, start, count, threads=threads, singles=True)
-    assert singles is not None
     return tally, singles
 
 

@@ -1,7 +1,5 @@
 """The compiled closed loop against the plain oracle, and against an independent simulator's means; the survey."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 
@@ -151,7 +149,6 @@ SAMPLED_SURVEY = 3
 
 def roll(one: SurveyWorld, plan: Plan, rollouts: int) -> RolloutResults:
     _, singles = run_range(one.loop(plan), one.seed, 0, rollouts, singles=True)
-    assert singles is not None
     return singles
 
 

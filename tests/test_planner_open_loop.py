@@ -1,7 +1,5 @@
 """Plans for the open loop, and the closed loop of another planner's paths."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -45,7 +43,6 @@ def test_one_robot_gets_the_optimum_of_tiny_worlds(seed: int) -> None:
     """One robot learns nothing that would help it: the best path is as good as the best strategy."""
     world = tiny_world(seed, 3, 4)
     best = optimum(world, [[0, 0]])
-    assert best is not None
     assert open_loop_exact(planned(world, [[0, 0]], 50_000), world).visited == pytest.approx(best, abs=1e-6)
 
 
@@ -319,7 +316,6 @@ def test_sampled_values_are_those_of_enumeration() -> None:
     plan, exact = paths_plan(world, [0, 1, 2, 5], [6, 3, 3, 4]), ANSWERS["external_paths"]
     count = 40_000
     results = run_range(compile_closed_loop(plan, world), SEED, 0, count, singles=True)[1]
-    assert results is not None
     for name in ("visited", "time", "alive"):
         sampled = getattr(results, name)
         assert abs(sampled.mean() - exact[name]) <= 5 * sampled.std() / np.sqrt(count)

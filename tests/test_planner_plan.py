@@ -1,7 +1,5 @@
 """Algorithms 1-3: areas, paths, start positions, independent runs, the validator."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 Where there are no tables of distances: however they are found, rollouts are those that tables lead to.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace
@@ -96,7 +94,6 @@ def check_runs(name: str, case: dict[str, Any], runs: int) -> None:
     for tabled in (True, False):
         loop = compile_closed_loop(plan, fixture.world, tabled=tabled)
         singles = run_range(loop, fixed["seed"], 0, len(fixed["runs"]), singles=True)[1]
-        assert singles is not None
         columns = (singles.visited, singles.survived, singles.time, singles.alive, map(CODES.index, singles.outcome))
         found = [list(row) for row in zip(*columns, strict=True)]
         if "threshold_runs" in case:
@@ -155,7 +152,6 @@ def test_compiled_counts_deadlines_and_other_truths() -> None:
     plan = make_plan(fixture.world, fixture.starts, Settings(policy="per_cell", risk_cap=0.5), fixture.allocation)
     loop = compile_closed_loop(plan, fixture.world)
     tally, singles = run_range(loop, 3, 0, 400, singles=True)
-    assert singles is not None
     assert np.array_equal(np.bincount(singles.visited, minlength=len(tally.visited)), tally.visited)
     traces = trace_rollouts(loop, 3, range(400))
     visits = sum(np.bincount(first.cells[0], minlength=tally.visits.size) for first in traces)
@@ -540,7 +536,6 @@ def test_on_tiny_worlds_it_closes_most_of_what_the_rule_lacks_to_the_optimum() -
         world = random_world(4, 4, kind, obstacles=0.2, threats=0.5)
         starts = place_starts(world, 1)[0]
         most = optimum(world, starts)
-        assert most is not None
         found = order_areas(world, starts, BASE, RolloutChoices(), AllPairs(), 150, lambda: True)
         # of one robot both loops are the same
         covered = [open_loop_exact(make_plan(world, starts, one), world).visited for one in (BASE, found)]
@@ -560,7 +555,6 @@ def ordered(seed: int, policy: str) -> tuple[World, Plan, Plan]:
 
 
 def valued(world: World, plan: Plan) -> World:
-    assert plan.settings is not None
     return world.with_values(np.where(world.free, np.reshape(plan.settings.priority, world.shape), 0.0))
 
 
@@ -584,7 +578,6 @@ def test_cells_count_in_decisions_as_if_they_were_worth_as_much(tmp_path: Path) 
 def test_what_does_not_go_with_it_is_refused(tmp_path: Path) -> None:
     world, plan, _ = ordered(1, "watchful")
     settings = plan.settings
-    assert settings is not None
     for wrong, said in (
         (replace(settings, risk_cap=None, policy="mrac"), "priority found by a search with --policy mrac|policy mrac"),
         (replace(settings, robot_value=5.0), "priority with"),

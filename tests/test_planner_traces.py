@@ -1,7 +1,5 @@
 """Traces and tallies."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import dataclass, field, replace
@@ -53,7 +51,6 @@ def test_a_trace_tells_what_was_counted() -> None:
         world, plan = random_case(seed)
         loop = compile_closed_loop(plan, world)
         _, singles = run_range(loop, 5, 0, 12, singles=True)
-        assert singles is not None
         for trace in trace_rollouts(loop, 5, range(12)):
             one = trace.rollout
             assert len(np.unique(trace.cells)) == singles.visited[one]

@@ -1,7 +1,5 @@
 """Policies of one's own: the suite and its standings, the judge, the study of policies."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json
@@ -58,7 +56,6 @@ def test_worlds_are_stable_for_ever() -> None:
     """Of map, what is in doubt and starts. A new hash is a new benchmark: give the world a new name instead."""
     found = {}
     for name, world in mrac.suite().items():
-        assert world.starts is not None
         found[name] = hashlib.sha256(f"{world.randomness_sha256} {world.starts.tolist()}".encode()).hexdigest()[:16]
         assert len(world.starts) == int(name.rpartition("-k")[2]) and world.accessible(world.starts).mean() > 0.6
     assert found == HASHES and len(found) == 30
@@ -251,7 +248,6 @@ def test_the_interval_of_a_score_holds_it() -> None:
     for _ in range(turns):
         shared = draw.random(200) * 0.2
         scores = scores_of(0.4 + shared + draw.random(200) * 0.2, 0.1 + shared + draw.random(200) * 0.1, 0.9)
-        assert scores is not None
         found = estimate_of(scores)
         held += found.ci95[0] <= (0.6 - 0.25) / (0.9 - 0.25) <= found.ci95[1]
     assert abs(held / turns - 0.95) < 5 * np.sqrt(0.95 * 0.05 / turns)
@@ -375,7 +371,6 @@ def test_what_is_worse_and_what_is_left() -> None:
     assert worse.errors == pytest.approx(0.03 / np.hypot(0.005, 0.005))
     assert study.gain(setting).mean == pytest.approx(0.05 - 0.02)
     left = study.gap(setting)
-    assert left is not None
     assert left.mean == pytest.approx(0.9 - 0.55)
     assert study.gain(Setting("scattered", 4, "per_cell")).half_width == pytest.approx(0, abs=1e-12)
 

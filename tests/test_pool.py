@@ -1,7 +1,5 @@
 """The pool of processes: killed and interrupted at random moments it loses nothing and never hangs."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal
@@ -134,7 +132,6 @@ def begin(function: str, task: object) -> subprocess.Popen[str]:
     running = subprocess.Popen(
         [sys.executable, "-c", script], stdout=subprocess.PIPE, env=environment, text=True, start_new_session=True
     )
-    assert running.stdout is not None
     assert [running.stdout.readline() for _ in range(2)] == ["begun\n", "open\n"]
     return running
 
@@ -156,8 +153,7 @@ def none_left(pids: list[int], seconds: float) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("numbers", "seed", "span"),
-    [(range(1, 3), 3, 0.3), pytest.param(range(100), 4, 0.5, marks=pytest.mark.slow)],
+    ("numbers", "seed", "span"), [(range(1, 3), 3, 0.3), pytest.param(range(100), 4, 0.5, marks=pytest.mark.slow)]
 )
 def test_ctrl_c_ends_it_whatever_the_tasks_are(numbers: range, seed: int, span: float) -> None:
     """Ctrl-C, for half of them twice, from the pool's first moment on."""

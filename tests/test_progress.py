@@ -1,7 +1,5 @@
 """Progress: in words on a terminal, and of the functions of the Python interface, which can be interrupted."""
 
-from __future__ import annotations
-
 import inspect
 import io
 import json

@@ -1,7 +1,5 @@
 """Rasters on the ground, and samples of a survey interpolated over a map."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable
@@ -50,7 +48,6 @@ VALUES = np.arange(35, dtype=np.float32).reshape(5, 7) / 100
 def test_square_metres_in_a_projection(tmp_path: Path) -> None:
     raster = read_raster(tif(tmp_path / "a.tif", VALUES, (10, 0, 500, 0, -10, 900), "EPSG:32633"))
     assert raster.values.tolist() == VALUES.astype(float).tolist()
-    assert raster.frame is not None
     assert raster.frame.size == 10
     assert raster.frame.origin == (500, 850, 0)
     world = load_input(tmp_path / "a.tif")
@@ -61,7 +58,6 @@ def test_square_metres_in_a_projection(tmp_path: Path) -> None:
 def test_south_up_is_turned_and_feet_become_metres(tmp_path: Path) -> None:
     raster = read_raster(tif(tmp_path / "a.tif", VALUES, (10, 0, 500, 0, 10, 850), "EPSG:2263"))
     assert raster.values.tolist() == VALUES[::-1].astype(float).tolist()
-    assert raster.frame is not None
     assert raster.frame.size == pytest.approx(10 * 1200 / 3937)
     assert raster.frame.origin[1] == pytest.approx(850 * 1200 / 3937)
 
@@ -96,7 +92,6 @@ def test_degrees_too_wide_for_utm_become_square_metres(tmp_path: Path) -> None:
     path = tif(tmp_path / "a.tif", values, (step, 0, 10.0, 0, -step, 70.0), "EPSG:4326")
     raster = read_raster(path, cell_size=100_000)
     north, east = degree_sides(60.0)
-    assert raster.frame is not None
     assert raster.frame.size == pytest.approx(25_000)  # the largest part of 100 km within a pixel's 27.9 km
     assert raster.values.shape == (math.floor(40 * step * north / 25e3), math.floor(50 * step * east / 25e3))
     assert raster.values[0, 0] == 0
@@ -490,7 +485,6 @@ def test_arrays_that_are_no_raster(tmp_path: Path, values: np.ndarray) -> None:
 
 def test_jacksboro_is_32_by_30_km_with_north_at_the_top() -> None:
     raster = jacksboro(400)
-    assert raster.frame is not None
     assert raster.frame.size == pytest.approx(400 / 6)
     assert raster.values.shape == (477, 450)
     assert 236 <= raster.values.min() < raster.values.max() <= 1076

@@ -1,7 +1,5 @@
 """Recording: the file, every channel, the viewer layout, which rollout is picked."""
 
-from __future__ import annotations
-
 import json
 import re
 import struct
@@ -63,7 +61,6 @@ def test_rollouts_come_back_as_they_were(tmp_path: Path, first_only: bool) -> No
     assert [one.trace for one in found] == list(closed_loop_engine(loop, SEED, "numba").traces([9, 2, 4]))
     for one in found:
         results = run_range(loop, SEED, one.trace.rollout, 1, singles=True)[1]
-        assert results is not None
         last = (one.visited[-1], one.survived[-1], one.alive[-1], one.trace.time)
         assert last == (results.visited[0], results.survived[0], results.alive[0], results.time[0])
         assert (one.loop, one.seed, one.shape) == ("closed", SEED, world.shape)
@@ -113,7 +110,6 @@ def test_every_outcome_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     world, plan = small_recording(path, ids=(), picks=rolling.parse_picks("best"), evaluated=1000, outcomes=True)
     found = read_outcomes(path)
     truth = run_range(compile_closed_loop(plan, world), SEED, 0, 1000, singles=True)[1]
-    assert truth is not None
     assert np.array_equal(found.ids, np.arange(1000))
     for name in ("visited", "survived", "time", "alive", "outcome"):
         assert np.array_equal(getattr(found, name), getattr(truth, name)), name
@@ -441,7 +437,6 @@ def test_robots_are_blocks_where_they_stand(recorded: tuple) -> None:
         for step, time in enumerate(times):
             if time in sent:
                 last, changes = sent[time], changes + 1
-            assert last is not None
             assert (last.row_count, last.column_count) == (1, 1)
             yaw = 2 * np.arctan2(last.pose.orientation.z, last.pose.orientation.w)
             side = last.cell_size.x / 2
@@ -621,7 +616,6 @@ def test_a_drawn_truth_is_that_of_the_rollout() -> None:
     plan, truths = make_plan(world, world.starts, Settings()), []
     for trace in trace_rollouts(compile_closed_loop(plan, world), SEED, range(3)):
         found = Stage(world, plan, "closed", SEED).discovery(trace)
-        assert found is not None
         truths.append(float(np.nanmax(found.truth)))
         assert np.array_equal(np.isnan(found.truth), np.isnan(world.threat))
         for step, _, _, _, cell in trace.events[trace.events[:, 2] == EventKind.HIT].tolist():

@@ -1,7 +1,5 @@
 """The commands `record` and `inspect` as a user meets them."""
 
-from __future__ import annotations
-
 import io
 import json
 import signal

@@ -1,7 +1,5 @@
 """MCAP logs: the writer under faults, hostile and damaged files, recovery."""
 
-from __future__ import annotations
-
 import io
 import os
 import re
@@ -35,7 +33,7 @@ from analysis.recording import container
 from analysis.recording.container import PARTIAL, RECOVERED, LogSchema, LogWriter, Lost, Recovered, open_log, recover
 from analysis.recording.replay import recovered
 from planner.errors import InputError, UsageError
-from planner.mcap import MAGIC
+from planner.files import MAGIC
 
 
 @pytest.fixture(autouse=True)
@@ -75,7 +73,6 @@ def test_what_was_written_is_read_by_the_library_and_by_us(tmp_path: Path) -> No
     assert heard(path) == said_in(log) == said
     with path.open("rb") as stream:
         summary = make_reader(stream, validate_crcs=True).get_summary()
-    assert summary is not None and summary.statistics is not None
     statistics = summary.statistics
     assert statistics.message_count == len(said)
     assert statistics.chunk_count == sum(bool(part.said) for part in parts_of(path.read_bytes())) > 3
@@ -215,7 +212,6 @@ with LogWriter(sys.argv[1], chunk_size=2000) as log:
 def test_kill_9_loses_at_most_the_chunk_in_flight(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     process = subprocess.Popen([sys.executable, "-c", WRITES_UNTIL_KILLED, str(path)], stdout=subprocess.PIPE)
-    assert process.stdout is not None
     with process.stdout as told:
         while int(told.readline()) < 1000:
             pass

@@ -1,7 +1,5 @@
 """Replays, traces worked out step by step, pictures and animations of a rollout."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

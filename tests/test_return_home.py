@@ -1,7 +1,5 @@
 """Robots with a range, and robots that come home."""
 
-from __future__ import annotations
-
 import heapq
 from dataclasses import replace
 from typing import Any
@@ -92,7 +90,6 @@ def entries(world: World, plan: Plan) -> dict[int, int]:
 def check_rules(trace: Trace, world: World, plan: Plan, found: list[dict[int, tuple[int, int]]]) -> None:
     """What section 19 promises of a run, read off its trace; `found`: the ways home of each robot."""
     settings = plan.settings
-    assert settings is not None
     for robot, way in enumerate(found):
         cells, doing = trace.cells[:, robot].tolist(), trace.doing[:, robot].tolist()
         turned = [row[0] for row in trace.events.tolist() if row[1:3] == [robot, EventKind.TURNED_HOME]]
@@ -156,7 +153,6 @@ def test_who_is_alive_is_home(number: int) -> None:
             check_rules(run.trace, world, plan, found)
         loop = compile_closed_loop(plan, world)
         tally, singles = run_range(loop, seed, 0, 500, threads=1, singles=True)
-        assert singles is not None
         np.testing.assert_array_equal(singles.home, singles.alive)
         np.testing.assert_array_equal(tally.home, np.bincount(singles.home, minlength=len(starts) + 1))
         if "range" not in asked and "deadline" not in asked and "risk_cap" not in asked:  # Theorem 2
@@ -167,7 +163,6 @@ def test_ways_home_are_the_safest_and_of_these_the_shortest() -> None:
     for seed in range(8):
         world, starts = drawn(seed, 2)
         problem = prepare(world, starts, Settings(return_to="nearest", levels=4))
-        assert problem.home is not None
         entry = {int(cell): int(problem.costs[cell]) for cell in np.flatnonzero(problem.levels.accessible)}
         wanted = ways(world, problem.starts.tolist(), entry)
         onward = problem.home.onward[problem.home.of[0]]
@@ -196,7 +191,6 @@ def test_a_corridor_by_hand(more: dict[str, int], turns_at: int) -> None:
     assert home.mean == pytest.approx((1 - np.float32(p)) ** passed, rel=1e-6)
     assert home.at_least[1].mean == pytest.approx(home.mean) and home.at_least[0].mean == pytest.approx(1)
     assert answer.visited.cells == pytest.approx(1 + sum((1 - p) ** k for k in range(turns_at)), rel=1e-6)
-    assert answer.delivered is not None
     for cells in (answer.delivered.cells, answer.closed_form.delivered):
         assert cells == pytest.approx(1 + turns_at * home.mean)
 
@@ -231,7 +225,6 @@ def test_the_exact_tree_knows_who_comes_home(number: int) -> None:
     world = World.create(
         [[0, 0.1, 0.1, 0], [0, np.nan, 0, 0.3], [0.2, 0, 0, np.nan], [0.2, 0.1, 0, 0.3]], [[0, 0], [0, 3], [2, 1]]
     )
-    assert world.starts is not None
     asked = KINDS[number]
     plan = make_plan(world, world.starts, Settings(**{**asked, "density": 1.5}))
     tree = grow_tree(compile_closed_loop(plan, world), 0.0, 10**6)
@@ -254,7 +247,6 @@ def test_open_loop_paths_end_at_home(tmp_path: Any) -> None:
     plan.save(tmp_path / "plan.json")
     assert load_plan(tmp_path / "plan.json", world).settings == plan.settings
     answer = evaluate(world, plan, RolloutChoices(loop="open", rollouts=4096))
-    assert answer.figures.home is not None
     assert answer.figures.home.mean == answer.figures.alive.mean
 
 
@@ -300,7 +292,6 @@ def test_a_run_goes_on_from_its_state_as_if_it_had_not_stopped() -> None:
                     continue
                 read = parse_state(state.to_json(), world, "state")
                 rest = allocated_plan(world, read.starts, Settings(**KINDS[number]), read)
-                assert read.delivered is not None
                 assert set(read.delivered.tolist()) == delivered(trace, plan.bases, step + 1)
                 run = VisitLoop(rest, world).begin(0, rollout)
                 again = run.play().trace
@@ -550,7 +541,6 @@ def test_enough_moves_are_no_limit_and_a_limit_is_part_of_the_identity() -> None
         np.testing.assert_array_equal(a.path, b.path)
     loops = [compile_closed_loop(plan, world) for plan in (free, same)]
     singles = [run_range(loop, 5, 0, 64, singles=True)[1] for loop in loops]
-    assert singles[0] is not None and singles[1] is not None
     np.testing.assert_array_equal(singles[0].visited, singles[1].visited)
     assert loops[0].identity != loops[1].identity
 
@@ -594,7 +584,6 @@ def test_size_knows_the_range() -> None:
 def test_the_outcome_is_stuck_with_everybody_alive() -> None:
     world, plan = small(2, 2, 4)
     _, singles = run_range(compile_closed_loop(plan, world.with_starts(plan.starts)), 1, 0, 32, singles=True)
-    assert singles is not None
     whole = singles.alive == 2
     assert whole.any()
     assert (singles.outcome[whole] == Outcome.NO_PROGRESS).all()

@@ -1,7 +1,5 @@
 """Searches for start positions, for threats to remove and for places of threats."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The built site (`make docs`): every link leads somewhere, and nothing on a page asks another host for anything."""
 
-from __future__ import annotations
-
 import re
 from html.parser import HTMLParser
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The commands `size` and `front`."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

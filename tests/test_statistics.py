@@ -1,7 +1,5 @@
 """Means, intervals and quantiles, differences, the control variate, components of variance."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The studio: what it answers is what the command line says, and who has no business there is refused."""
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import http.client

@@ -1,7 +1,5 @@
 """`mrac-jax sweep` and `results`: sweep files, pooled rows, unknown maps and moving threats."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math
@@ -30,7 +28,6 @@ from analysis.statistics.estimates import Estimate
 from analysis.statistics.variance_reduction import BESIDE, expected_pieces, pieces
 from analysis.sweeps import report
 from analysis.sweeps import results as pooling
-from analysis.sweeps import results as rows
 from analysis.sweeps.cases import Generated, Places, Written
 from analysis.sweeps.engine import Done, Job, run_cases
 from analysis.sweeps.spec import read_spec
@@ -111,7 +108,7 @@ def test_a_sweep_is_the_mean_of_map_means(tmp_path: Path, processes: int) -> Non
         for job in spec.jobs():
             found = []
             for run_, tally in ((store.run(key), store.tally(key)) for key in keys_of(store, places, job)):
-                assert run_ is not None and tally is not None
+                assert run_ is not None
                 found.append(float(tally.visited @ np.arange(len(tally.visited))) / 40 / tally.accessible)
             columns.append(found)
         means = np.array(columns).reshape(5, 8)  # maps, then (case, model)
@@ -474,7 +471,7 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_commands_name_every_figure() -> None:
-    assert commands.FIGURES == rows.FIGURES == tuple(report.NAMES)
+    assert commands.FIGURES == pooling.FIGURES == tuple(report.NAMES)
 
 
 def test_results_bad_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -531,7 +528,6 @@ def test_figures_of_a_run_are_those_of_its_tally(tmp_path: Path) -> None:
         run_cases([next(read_spec(spec_file(tmp_path)).jobs())], store, processes=1)
         found = next(store.runs())
         tally = store.tally(found.key)
-        assert isinstance(tally, Tally)
         values = np.repeat(np.arange(len(tally.visited)), tally.visited) / tally.accessible
         means, errors = pooling.figures_of(found)
         mean, squared = means[pooling.KEPT["visited"], 0], errors[pooling.KEPT["visited"], 0, 0]

@@ -1,7 +1,5 @@
 """dask.distributed as the engine: the same counts, workers that are killed, a scheduler that is not there."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import shutil

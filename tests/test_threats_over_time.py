@@ -1,7 +1,5 @@
 """Threats that move, and threats that change with time."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from math import gamma
@@ -82,7 +80,6 @@ def test_rollouts_do_not_depend_on_how_they_are_run() -> None:
 def test_movers_that_hit_nobody_change_no_event() -> None:
     world = moving_world(5)
     plain = replace(world, threat=world.met, uncertainty=None)
-    assert world.movers is not None
     tame = plain.with_moving_threats([replace(one, hit=0.0) for one in world.movers.members])
     np.testing.assert_array_equal(tame.threat, plain.threat)
     plan = make_plan(plain, place_starts(plain, 3)[0])
@@ -116,7 +113,6 @@ def test_draws_are_at_the_counters_that_the_spec_names() -> None:
     world = World.create(np.zeros((2, 3))).with_moving_threats(
         [MovingThreat(0.4, 0.3), MovingThreat(0.6, 0.0, -1, (0, 1, 4, 3))]
     )
-    assert world.movers is not None
     seed, rollout, (moves, hits) = 7, 5, (threefry2x32((7, 0), 0x48415A44, purpose) for purpose in (3, 4))
     beside = {0: (1, 3), 1: (0, 2, 4), 2: (1, 5), 3: (0, 4), 4: (1, 3, 5), 5: (2, 4)}
     weight = [cell for cell, ways in beside.items() for _ in ways]
@@ -180,7 +176,6 @@ def test_rollouts_of_one_robot_are_at_the_exact_values(seed: int) -> None:
     plan = alone(world)
     exact, n = open_loop_exact(plan, world), ROLLOUTS
     tally, singles = run_range(compile_closed_loop(plan, world), seed, 0, n, singles=True)
-    assert singles is not None
     expected = {"visited": exact.visited, "survived": exact.survived, "alive": float(exact.survival[0])}
     expected["time"] = exact.mean_time
     for name, mean in expected.items():
@@ -206,7 +201,6 @@ def test_movers_stay_where_they_are_in_the_long_run() -> None:
     """Who starts anywhere is at every step in a cell with the chance of `joined`, within 5 standard errors."""
     world = moving_world(9, most=5)
     walker = replace(world, threat=world.met, uncertainty=None).with_moving_threats([MovingThreat(0.3, 0.2)], "joined")
-    assert walker.movers is not None
     chance, n = walker.movers.chances(walker.movers.members[0]).ravel(), 1500
     starts = np.bincount(first_places(walker.movers, 4, range(n))[:, 0], minlength=chance.size)
     later = np.bincount([int(threat_paths(walker, 4, one, 4)[-1, 0]) for one in range(n)], minlength=chance.size)
@@ -242,14 +236,12 @@ def test_a_scenario_and_its_world_file(tmp_path: Path) -> None:
         "moving_threats:\n- {walk: 0.5, h: 0.25, count: 3}\n- {walk: 0, start: [1, 1], h: 1}\n"
         "- {patrol: [[0, 0], [0, 1], [1, 1], [1, 0]], start: [1, 1], h: 0.5}\n- {patrol: [[1, 1], [1, 2]], h: 0.5}\n",
     )
-    assert world.movers is not None
     square = MovingThreat(0.5, 0.0, 4, (0, 1, 4, 3))
     expected = (*[MovingThreat(0.25, 0.5)] * 3, MovingThreat(1.0, 0.0, 4), square, MovingThreat(0.5, 0.0, -1, (4, 5)))
     assert world.movers.members == expected
     assert "4 walk and 2 patrol, and destroy a robot that they meet with probability 0.25 to 1" in repr(world)
     world.save(tmp_path / "w.npz")
     again = load_world_file(tmp_path / "w.npz")
-    assert again.movers is not None
     assert again.movers.members == expected
     assert again.randomness_sha256 == world.randomness_sha256 == load_input(tmp_path / "w.npz").randomness_sha256
     both = "moving_threats: [{walk: 0.5, h: 0.25}, {patrol: [[0, 0], [0, 1]], h: 0.5}]\nplan_on: "
@@ -273,7 +265,6 @@ def test_robots_plan_on_those_that_have_a_route_unless_something_else_is_said(tm
     sure = lone.with_moving_threats([MovingThreat(1.0, 0.0, 2)])  # `joined` refuses it
     assert as_before(sure) is sure
     (note,) = scenario(tmp_path, "moving_threats: [{patrol: [[0, 0], [0, 1]], h: 0.5}]\n").notes
-    assert world.movers is not None
     plain = replace(world, threat=world.met, uncertainty=None, notes=())
     assert plain.with_moving_threats(world.movers.members).sha256 == world.sha256
     walkers = scenario(tmp_path, "moving_threats: [{walk: 0.5, h: 0.25}]\n")
@@ -478,7 +469,6 @@ def test_teams_come_to_what_enumeration_has(number: int, plan_on: Foresight, wid
     expected = ANSWERS["phases"][f"{number} {plan_on} {wide}"]
     loop = compile_closed_loop(plan, world)
     tree, singles = grow_tree(loop, 0.0, 10**6), run_range(loop, 3, 0, 40_000, singles=True)[1]
-    assert tree is not None and singles is not None
     found = (tree.covered("visited")[0], tree.mean_alive, tree.covered("survived")[0])
     np.testing.assert_allclose(found, expected, rtol=1e-6)
     for name, mean in zip(("visited", "alive", "survived"), expected, strict=True):

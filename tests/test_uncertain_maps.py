@@ -1,7 +1,5 @@
 """Hazards that are there or not, and maps one of which is true."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -95,7 +93,6 @@ def test_means_are_those_of_everything_that_can_happen(kind: str) -> None:
     exact = expected(closed_loop(plan, world), judge)
     rollouts = 40_000
     singles = run_range(compile_closed_loop(plan, world), 11, 0, rollouts, singles=True)[1]
-    assert singles is not None
     for name, value in zip(("visited", "survived", "alive", "delivered"), exact, strict=True):
         column = getattr(singles, name).astype(float)
         assert abs(column.mean() - value) <= 5 * column.std() / np.sqrt(rollouts), name
@@ -133,7 +130,6 @@ def test_a_spread_has_the_mean_and_the_quantiles_that_it_says(kind: str, amount:
 def test_levels_are_drawn_apart_and_a_common_spread_is_one_for_all() -> None:
     for by, same in (("common", True), ("level", False)):
         draws = TINY.with_spread("beta", 4.0, by).draws
-        assert draws is not None
         assert (draws.counter[1] == draws.counter[4]) == same
     assert draws.counter.reshape(2, 3)[:, 1].tolist() == [3, 2]
 
@@ -350,8 +346,7 @@ def test_one_robot_is_exact_by_level_and_teams_are_known_robot_by_robot() -> Non
 
 
 @pytest.mark.parametrize(
-    ("robots", "h", "percent"),
-    [(2, 1.0, 64.675), (4, 1.0, 70.187), (8, 1.0, 76.173), (12, 0.6, 83.461)],
+    ("robots", "h", "percent"), [(2, 1.0, 64.675), (4, 1.0, 70.187), (8, 1.0, 76.173), (12, 0.6, 83.461)]
 )
 def test_teams_among_hazards_in_many_shared_cells(robots: int, h: float, percent: float) -> None:
     """Against values of another program; sampled values lie within five standard errors."""

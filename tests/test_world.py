@@ -1,7 +1,5 @@
 """The world, scenario files and random worlds."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import math
@@ -140,7 +138,6 @@ def test_file_round_trip(tmp_path: Path) -> None:
     world.save(tmp_path / "world.npz")
     again = load_world_file(tmp_path / "world.npz")
     np.testing.assert_array_equal(again.threat, world.threat)
-    assert again.starts is not None
     assert again.starts.tolist() == [[0, 1]]
     assert (again.cell_size, again.origin, again.sha256) == (world.cell_size, world.origin, world.sha256)
 
@@ -400,10 +397,8 @@ def test_the_name_of_a_map_is_enough_and_nothing_else_is_needed(folder: Path) ->
 
 def test_starts_in_cells_and_in_metres(folder: Path) -> None:
     cells = load_input(write(folder, robots={"starts": [[0, 6], [3, 0], [0, 6]]}))
-    assert cells.starts is not None
     assert cells.starts.tolist() == [[0, 6], [3, 0], [0, 6]]
     metres = load_input(write(folder, robots={"starts_xy": [[6.5, 3.5], [0.1, 0.9], [6, 3]], "count": 3}))
-    assert metres.starts is not None
     assert metres.starts.tolist() == [[0, 6], [3, 0], [0, 6]]
 
 
@@ -411,7 +406,6 @@ def test_starts_in_metres_follow_the_turned_origin(folder: Path) -> None:
     World.create(np.zeros((3, 5)), cell_size=2.0, origin=(10, 20, math.pi / 2)).save(folder / "w.npz", force=True)
     # turned by 90 degrees: columns run along +y, rows (upwards) along -x
     scenario = load_input(write(folder, map={"file": "w.npz"}, robots={"starts_xy": [[9, 21], [5, 29]]}))
-    assert scenario.starts is not None
     assert scenario.starts.tolist() == [[2, 0], [0, 4]]
     assert scenario.to_xy([10, 4]).tolist() == [pytest.approx([9, 21]), pytest.approx([5, 29])]
 
@@ -422,7 +416,6 @@ def test_world_files_bring_their_starts_along(folder: Path) -> None:
     assert direct.starts is not None and len(direct.starts) == 2
     assert direct.cell_size == 0.5
     inside = load_input(write(folder, map="w.npz", cell_size=1.0))
-    assert inside.starts is not None
     assert inside.starts.tolist() == [[0, 1], [1, 2]]
     assert load_input(write(folder, map="w.npz", robots={"count": 2})).starts is not None
     anew = load_input(write(folder, map="w.npz", robots={"count": 5, "start": "upper-left"}))

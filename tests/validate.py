@@ -1,7 +1,5 @@
 """A second opinion on plans: checks what docs/spec.md, sections 1, 4 and 5, guarantees; shares no code with it."""
 
-from __future__ import annotations
-
 import hashlib
 from collections import Counter
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Compiles the programs of the closed loop, so that processes of tests find them (`python tests/warm.py RULE`)."""
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 

@@ -407,7 +407,8 @@ class Evaluation(Result):
     @property
     def has_danger(self) -> bool:
         """Whether the plan meets any danger: if not, all runs are nominal in both loops."""
-        return float(self.closed_form.stops_by_cell.sum()) > 0  # a sum, because any probability above 0 counts
+        # A sum, because any probability above 0 counts; NaN where it is not known, as among moving threats.
+        return float(self.closed_form.stops_by_cell.sum()) != 0
 
     @property
     def losses(self) -> Losses:

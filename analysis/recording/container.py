@@ -30,8 +30,8 @@ from analysis.recording.names import GROWING, how_to_clear, interrupted_name, le
 from analysis.utils.progress import ENDING
 from planner.arguments import argument
 from planner.errors import InputError, UsageError
+from planner.files import MAGIC, damage_reported, mapped
 from planner.json_objects import WithKeys
-from planner.mcap import MAGIC, damage_reported, mapped
 
 # Writer: the file survives a crash, and its bytes depend only on its content.
 #

@@ -352,9 +352,18 @@ def _write(
 def _row(trace: Trace, picks: dict[str, int], stage: Stage, accessible: int) -> Row:
     frames = make_frames(trace, stage.plan.state)
     names = tuple(name for name, one in picks.items() if one == trace.rollout)
-    visited, survived, alive = (int(one[-1]) for one in (frames.visited, frames.survived, frames.alive_count))
-    shares, outcome = (Fraction(cells, accessible) for cells in (visited, survived)), stage.plan.ending(trace.outcome)
-    return Row(trace.rollout, names, outcome.word, *shares, trace.time, alive, len(trace.events), visited)
+    visited, survived = int(frames.visited[-1]), int(frames.survived[-1])
+    return Row(
+        rollout=trace.rollout,
+        picks=names,
+        outcome=stage.plan.ending(trace.outcome).word,
+        visited=Fraction(visited, accessible),
+        survived=Fraction(survived, accessible),
+        time=trace.time,
+        alive=int(frames.alive_count[-1]),
+        events=len(trace.events),
+        cells_visited=visited,
+    )
 
 
 def _describe(log: LogWriter, settings: contents.Settings, tally: Tally, world: World, plan: Plan) -> None:

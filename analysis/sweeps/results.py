@@ -28,7 +28,7 @@ from analysis.statistics.variance_reduction import (
 )
 from analysis.statistics.variance_reduction import FIGURES as BESIDE_LUCK
 from analysis.sweeps.cases import RULES, Label, format_label
-from analysis.sweeps.engine import EARLIER, MAP_LABELS, earlier_note, follows_earlier_rules, runs_by_rules
+from analysis.sweeps.engine import EARLIER, MAP_LABELS, runs_by_rules
 from analysis.sweeps.spec import WORLD, is_path
 from analysis.sweeps.store import Run, Store
 from planner.arguments import MAX_STEP, MOST_ROLLOUTS, argument, check_word
@@ -484,13 +484,10 @@ def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
     wanted = list(dict.fromkeys([*by, RULES] if apart else by)) if by else varying
     pooled = tuple(name for name in varying if name not in wanted)
     groups: dict[tuple[Label, ...], Group] = {}
-    homes, older = dict[str, bool](), Counter[bool | None]()
     for run in select(store, where):
-        if RULES not in run.what and not run.facts.get("rules"):
-            older[follows_earlier_rules(run, store, homes)] += 1
         group = groups.setdefault(tuple(run.what.get(name) for name in wanted), {})
         group.setdefault(map_of(run), []).append(part_of(run, pooled))
-    notes = _pooled_notes(seen, wanted, pooled) + earlier_note(older[True], older[None])
+    notes = _pooled_notes(seen, wanted, pooled)
     rows, runs = [], 0
     for place in sorted(groups, key=lambda values: [_order(value) for value in values]):
         labels, group = dict(zip(wanted, place, strict=True)), _in_order(groups[place])

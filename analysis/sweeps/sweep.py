@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.sweeps.cases import MOST_MAPS, RULES
+from analysis.sweeps.cases import MOST_MAPS
 from analysis.sweeps.engine import Done, Finished, Swept, run_cases
 from analysis.sweeps.results import Row, figures_of, outcomes_of, single_map
 from analysis.sweeps.spec import Spec
@@ -26,7 +26,6 @@ from planner.errors import UsageError
 from planner.files import Json
 from planner.formatting import counted
 from planner.simulator.codes import Outcome
-from planner.world.start_rule import BEFORE, RELEASES
 
 Watch = Callable[[int, int, float, str], None]
 """`watch(jobs, total, seconds, more)`: jobs done of the total, seconds since the start, a text with the half-width of
@@ -77,11 +76,6 @@ class Sweep(Swept):
             cut = sum(row.outcomes[outcome.word] for row in self.rows)
             if cut:
                 notes.append(f"{counted(cut, 'rollout')} ended by {outcome.word}: the mission {outcome.clause}")
-        if earlier := self.finished.earlier:
-            notes.append(
-                f"the store holds {counted(earlier, 'run')} of these by rules that release 0.4 changed: they are kept, "
-                f"and not used here (in `results` they have the label {RULES} {RELEASES[BEFORE]})"
-            )
         return notes
 
     @property
@@ -153,12 +147,7 @@ class _Table:
 
 
 def run_sweep(
-    spec: Spec,
-    store: Store,
-    *,
-    precision: float | None = None,
-    watch: Watch | None = None,
-    **where: Any,
+    spec: Spec, store: Store, *, precision: float | None = None, watch: Watch | None = None, **where: Any
 ) -> Sweep:
     """Run a sweep into a store; stored rollouts are not simulated again.
 
@@ -186,7 +175,6 @@ def run_sweep(
             sums.reused + (finished.reused if maps.start or not sums.jobs else 0),
             time.perf_counter() - clock,
             finished.partial,
-            max(sums.earlier, finished.earlier) if asked.maps is None else sums.earlier + finished.earlier,
         )
         narrow = precision is None or bool(table.next and table.widest() < precision)
         if sums.partial or narrow:

@@ -23,6 +23,9 @@ from planner.formatting import chance, counted, in_percent
 from planner.settings import SETTINGS
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from planner.formatting import Pace
     from planner.plan.plan import Plan
     from planner.settings import Settings
@@ -183,7 +186,7 @@ def table_of(
     return make_table(names, title, cells, left=[one.title for one in shown if one.words], dropped=dropped, **look)
 
 
-def robots_table(plan: Plan, survival: Sequence[float], title: str | None = None) -> FittedTable:
+def robots_table(plan: Plan, survival: Sequence[float] | NDArray[np.float64], title: str | None = None) -> FittedTable:
     """A row for each robot of a plan; `survival`: the probability of each to survive its nominal path."""
     from planner.plan.plan import drive_of
 
@@ -347,13 +350,18 @@ def json_text(content: object, *, compact: bool = False) -> str:
     return json.dumps(content, allow_nan=False, **look) + "\n"
 
 
-def write_all(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
-    """Write files into `folder` (created if necessary), each completely or not at all; returns their paths."""
+def make_folder(folder: Path, name: str = "folder") -> None:
+    """Make a folder, with its parents, if there is none. Raises UsageError that names the argument `name`."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        problem = f"{argument('folder')} {folder} cannot be written ({error.strerror})"
+        problem = f"{argument(name)} {visible(str(folder))} cannot be written ({error.strerror})"
         raise UsageError(problem, expected="a folder to write to") from error
+
+
+def write_all(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
+    """Write files into `folder` (created if necessary), each completely or not at all; returns their paths."""
+    make_folder(folder)
     from planner.files import atomic_write
 
     written: list[Path] = []
