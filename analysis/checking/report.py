@@ -40,6 +40,8 @@ SAYS = {
 """Relation of the truth to a value, in a sentence and in a table."""
 
 
+WORDS = {verdict: f"{verdict.upper() if verdict is Verdict.FAILS else verdict:9}" for verdict in Verdict}
+"""Verdicts in a table; failures in capitals."""
 UNCERTAIN = {Verdict.VACUOUS: "say nothing", Verdict.UNDECIDED: "are undecided"}
 """What else the summary counts."""
 
@@ -144,7 +146,7 @@ def _check_table(checked: MapCheck) -> Table:
 
     def truth(*loops: str) -> Callable[[list[Check]], str | None]:
         def text(checks: list[Check]) -> str | None:
-            found = (f"{figure(c.truth.value, c.about.unit)} {_word(c)}" for c in checks if c.loop in loops)
+            found = (f"{figure(c.truth.value, c.about.unit)} {WORDS[c.verdict]}" for c in checks if c.loop in loops)
             return next(found, None)
 
         return text
@@ -169,11 +171,6 @@ def _of(check: Check) -> str:
     if check.formula == "theorem2":
         return "runs"
     return check.meaning or {"chance": "survival", "steps": "steps"}.get(check.about.unit, "cells")
-
-
-def _word(check: Check) -> str:
-    """The verdict; failures in capitals."""
-    return f"{str(check.verdict).upper() if check.verdict is Verdict.FAILS else check.verdict:9}"
 
 
 def _check_footnotes(checked: MapCheck) -> list[str]:

@@ -57,8 +57,7 @@ def of_results(results: Results) -> Report:
     """The number of runs, their common labels, and the rows."""
     common = ", ".join(f"{name} {format_label(value)}" for name, value in results.common.items())
     said = f"{counted(results.runs, 'run')}{': ' if common else ''}{common}"
-    parts = [_rows_part(results.rows)]
-    return Report("results", "results", "", said, results, parts=parts, notes=results.notes)
+    return Report("results", "results", "", said, results, parts=[_rows_part(results.rows)], notes=results.notes)
 
 
 def headline(sweep: Sweep) -> str:

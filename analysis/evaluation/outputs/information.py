@@ -192,8 +192,7 @@ class Knowledge(Output):
         if no_sensor is not None and no_sensor is not learning:
             yield against("Without a sensor", no_sensor.found, learning.found)
         gain = "{} from {:g} to {:g}"
-        said = [gain.format(s.gain.describe(100, " points"), s.near.range, s.far.range) for s in self.steps]
-        if said:
+        if said := [gain.format(s.gain.describe(100, " points"), s.near.range, s.far.range) for s in self.steps]:
             yield f"Gain by sensor range, cells: {', '.join(said)}."
 
     @property
