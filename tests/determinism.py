@@ -60,10 +60,7 @@ def hazards(number: int, draw: random.Random) -> World:
     world, learn = plain(number, draw), draw.random() < 0.5
     q = np.where(world.free, np.where(world.threat > 0, draw.choice((0.2, 0.6)), 0.0), np.nan)
     world = World.create(np.where(world.free, 0.0, np.nan)).with_latent_hazard(
-        draw.choice(("persistent", "consumed")),
-        q,
-        draw.choice((0.3, 0.9)),
-        learn,
+        draw.choice(("persistent", "consumed")), q, draw.choice((0.3, 0.9)), learn
     )
     rates = {"detect": draw.choice((0.9, 0.5)), "false_alarm": draw.choice((0.1, 0.3))}
     return world.with_sensor_range(sense(draw) | rates) if learn and draw.random() < 0.6 else world

@@ -829,14 +829,14 @@ def test_control_points_across_longitude_180(tmp_path: Path, crs: str, turned: b
     assert load_input(scenario(tmp_path, threats=[{"raster": "p.tif"}])).threat == pytest.approx(0.4)
 
 
-@pytest.mark.parametrize(
-    ("crs", "target", "right", "down"),
-    [
-        ("EPSG:32632", "EPSG:32632", (8.0, 6.0), (6.0, -8.0)),  # turned by 37 degrees
-        ("EPSG:2263", "EPSG:2263", (30.0, -9.0), (-9.0, -30.0)),  # feet
-        ("EPSG:4326", "EPSG:32632", (0.0004, 0.0001), (0.0002, -0.0003)),  # degrees, sheared
-    ],
-)
+CONTROL_POINTS = [
+    ("EPSG:32632", "EPSG:32632", (8.0, 6.0), (6.0, -8.0)),  # turned by 37 degrees
+    ("EPSG:2263", "EPSG:2263", (30.0, -9.0), (-9.0, -30.0)),  # feet
+    ("EPSG:4326", "EPSG:32632", (0.0004, 0.0001), (0.0002, -0.0003)),  # degrees, sheared
+]
+
+
+@pytest.mark.parametrize(("crs", "target", "right", "down"), CONTROL_POINTS)
 def test_control_points_on_no_grid_are_warped_by(
     tmp_path: Path, crs: str, target: str, right: tuple[float, float], down: tuple[float, float]
 ) -> None:

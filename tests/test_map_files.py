@@ -210,22 +210,22 @@ def test_row_0_is_the_top_of_the_picture_and_the_highest_y(tmp_path: Path) -> No
     assert world.to_cells([10.01, -1.99]).tolist() == [2, 0]
 
 
-@pytest.mark.parametrize(
-    ("changes", "names"),
-    [
-        ({"drop": "free_thresh", "occupied_thresh": 0.1}, "from 0 to below occupied_thresh (0.1)"),
-        *(({"drop": name}, f"key `{name}` is missing") for name in ("occupied_thresh", "resolution", "origin")),
-        ({"drop": "image"}, "neither"),
-        ({"drop": "occupied_thresh", "occupied_tresh": 0.65}, "did you mean it by 'occupied_tresh'?"),
-        ({"image": "gone.png"}, "gone.png"),
-        *(({"resolution": n}, "`resolution` is ") for n in (0, -0.05, ".nan", "true", 1e300, "1.0e-320", "1:30")),
-        *(({"origin": at}, "`origin") for at in ("[0, 0]", "[0, .inf, 0]", [1e308, 0, 0], [0, -1e17, 0])),
-        ({"free_thresh": 0.7}, "free_thresh"),
-        ({"occupied_thresh": 1.5}, "occupied_thresh"),
-        ({"mode": "trinery"}, "did you mean 'trinary'"),
-        ({"negate": "perhaps"}, "negate"),
-    ],
-)
+WRONG_KEYS = [
+    ({"drop": "free_thresh", "occupied_thresh": 0.1}, "from 0 to below occupied_thresh (0.1)"),
+    *(({"drop": name}, f"key `{name}` is missing") for name in ("occupied_thresh", "resolution", "origin")),
+    ({"drop": "image"}, "neither"),
+    ({"drop": "occupied_thresh", "occupied_tresh": 0.65}, "did you mean it by 'occupied_tresh'?"),
+    ({"image": "gone.png"}, "gone.png"),
+    *(({"resolution": n}, "`resolution` is ") for n in (0, -0.05, ".nan", "true", 1e300, "1.0e-320", "1:30")),
+    *(({"origin": at}, "`origin") for at in ("[0, 0]", "[0, .inf, 0]", [1e308, 0, 0], [0, -1e17, 0])),
+    ({"free_thresh": 0.7}, "free_thresh"),
+    ({"occupied_thresh": 1.5}, "occupied_thresh"),
+    ({"mode": "trinery"}, "did you mean 'trinary'"),
+    ({"negate": "perhaps"}, "negate"),
+]
+
+
+@pytest.mark.parametrize(("changes", "names"), WRONG_KEYS)
 def test_a_wrong_ros_map_names_the_key(tmp_path: Path, changes: dict, names: str) -> None:
     with pytest.raises(InputError) as caught:
         load_input(ros(tmp_path, **changes))
@@ -290,26 +290,26 @@ def test_many_cells_are_told_with_the_robot_that_they_mean(tmp_path: Path, capsy
     assert load_input(tmp_path / "m.yaml", 0.51).shape == (7, 5)
 
 
-@pytest.mark.parametrize(
-    ("text", "names"),
-    [
-        ("type octile\nheight 3\nwidth 5\nmap\n.....\n.....\n", "2 rows"),
-        ("type octile\nheight 1\nwidth 5\nmap\n.....\n.....\n", "2 rows"),
-        ("type octile\nheight 2\nwidth 5\nmap\n.....\n....\n", "line 6 has 4"),
-        ("type octile\nheight 2\nwidth 5\nmap\n......\n.....\n", "line 5 has 6"),
-        ("type octile\nheight 2\nwidth 0\nmap\n\n\n", "width 0"),
-        ("type octile\nheight -2\nwidth 3\nmap\n...\n...\n", "height -2"),
-        ("type octile\nheight nan\nwidth 3\nmap\n...\n", "nan"),
-        ("type octile\nwidth 3\nmap\n...\n", "no header with height, width"),
-        ("something else\n", "header"),
-        ("", "header"),
-        ("type octile-corner\nheight 1\nwidth 1\nmap\n..\n..\n", "line 1: 'type octile-corner'"),
-        ("\nheight 1000000000\nmap\n", "line 2: 'height 1000000000'; expected one line `height N`"),
-        ("height 999999999\nwidth 3\nmap\n...\n", "bytes claim 999999999 x 3 cells"),
-        ("height " + "9" * 5000 + "\nmap\n", "whole numbers from 1"),
-        ("height 2\nheight 2\nwidth 3\nmap\n...\n...\n", "line 2: 'height 2'; expected one line"),
-    ],
-)
+BROKEN_MAPS = [
+    ("type octile\nheight 3\nwidth 5\nmap\n.....\n.....\n", "2 rows"),
+    ("type octile\nheight 1\nwidth 5\nmap\n.....\n.....\n", "2 rows"),
+    ("type octile\nheight 2\nwidth 5\nmap\n.....\n....\n", "line 6 has 4"),
+    ("type octile\nheight 2\nwidth 5\nmap\n......\n.....\n", "line 5 has 6"),
+    ("type octile\nheight 2\nwidth 0\nmap\n\n\n", "width 0"),
+    ("type octile\nheight -2\nwidth 3\nmap\n...\n...\n", "height -2"),
+    ("type octile\nheight nan\nwidth 3\nmap\n...\n", "nan"),
+    ("type octile\nwidth 3\nmap\n...\n", "no header with height, width"),
+    ("something else\n", "header"),
+    ("", "header"),
+    ("type octile-corner\nheight 1\nwidth 1\nmap\n..\n..\n", "line 1: 'type octile-corner'"),
+    ("\nheight 1000000000\nmap\n", "line 2: 'height 1000000000'; expected one line `height N`"),
+    ("height 999999999\nwidth 3\nmap\n...\n", "bytes claim 999999999 x 3 cells"),
+    ("height " + "9" * 5000 + "\nmap\n", "whole numbers from 1"),
+    ("height 2\nheight 2\nwidth 3\nmap\n...\n...\n", "line 2: 'height 2'; expected one line"),
+]
+
+
+@pytest.mark.parametrize(("text", "names"), BROKEN_MAPS)
 def test_broken_movingai_maps(tmp_path: Path, text: str, names: str) -> None:
     (tmp_path / "a.map").write_text(text)
     with pytest.raises(MapError) as caught:
@@ -355,22 +355,22 @@ def npz(member: bytes) -> bytes:
     return out.getvalue()
 
 
-@pytest.mark.parametrize(
-    ("name", "data"),
-    [
-        ("a.map", b"type octile\nheight 90000\nwidth 90000\nmap\n....\n"),
-        ("a.map", b"type octile\nheight 999999999999\nwidth 9\nmap\n....\n"),
-        ("a.pgm", b"P5 8000 8000 255\n" + bytes(10)),
-        ("a.pgm", b"P5 100000 100000 255\n" + bytes(10)),
-        ("a.ppm", b"P2 8000 8000 255\n1 2 3\n"),
-        ("a.png", huge_png(8000)),
-        ("a.png", huge_png(100000)),
-        ("a.npy", npy_header((8000, 8000)) + bytes(8)),
-        ("a.npy", npy_header((10**9, 10**9)) + bytes(8)),
-        ("a.npz", npz(npy_header((8000, 8000)) + bytes(8))),
-        ("a.npz", npz(npy_header((10**9, 10**9)) + bytes(8))),
-    ],
-)
+HUGE_CLAIMS = [
+    ("a.map", b"type octile\nheight 90000\nwidth 90000\nmap\n....\n"),
+    ("a.map", b"type octile\nheight 999999999999\nwidth 9\nmap\n....\n"),
+    ("a.pgm", b"P5 8000 8000 255\n" + bytes(10)),
+    ("a.pgm", b"P5 100000 100000 255\n" + bytes(10)),
+    ("a.ppm", b"P2 8000 8000 255\n1 2 3\n"),
+    ("a.png", huge_png(8000)),
+    ("a.png", huge_png(100000)),
+    ("a.npy", npy_header((8000, 8000)) + bytes(8)),
+    ("a.npy", npy_header((10**9, 10**9)) + bytes(8)),
+    ("a.npz", npz(npy_header((8000, 8000)) + bytes(8))),
+    ("a.npz", npz(npy_header((10**9, 10**9)) + bytes(8))),
+]
+
+
+@pytest.mark.parametrize(("name", "data"), HUGE_CLAIMS)
 def test_a_tiny_file_that_claims_to_be_huge_takes_no_memory(tmp_path: Path, name: str, data: bytes) -> None:
     path = tmp_path / name
     path.write_bytes(data)
@@ -439,15 +439,15 @@ def test_whole_ratios_pass_in_spite_of_rounding(cell_size: float) -> None:
     assert coarsen(random_grid(14, 23), cell_size).ratio == round(cell_size / 0.05)
 
 
-@pytest.mark.parametrize(
-    ("sizes", "words"),
-    [
-        ((0.12, 0.1501), "pixels of 0.05 m; expected a whole number"),
-        ((1e12, math.inf), "pixels of 0.05 m; expected a whole number"),
-        ((0.03, 1e-9, 0.0499), r"maps are only coarsened; for example cell_size: 0\.05"),
-        ((1.0,), "hold no cell of 1 m"),
-    ],
-)
+WRONG_SIZES = [
+    ((0.12, 0.1501), "pixels of 0.05 m; expected a whole number"),
+    ((1e12, math.inf), "pixels of 0.05 m; expected a whole number"),
+    ((0.03, 1e-9, 0.0499), r"maps are only coarsened; for example cell_size: 0\.05"),
+    ((1.0,), "hold no cell of 1 m"),
+]
+
+
+@pytest.mark.parametrize(("sizes", "words"), WRONG_SIZES)
 def test_sizes_of_cells_that_cannot_be(sizes: tuple[float, ...], words: str) -> None:
     for cell_size in sizes:
         with pytest.raises(MapError, match=words):
@@ -776,25 +776,25 @@ def test_a_maps_world_of_several_types(tmp_path: Path) -> None:
     assert load_input(tmp_path / "s.yaml").team.settings == {"types": "1"}
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"world_shape": [3]}, r"`world_shape` is \[3\]; expected \[row, col\]"),
-        ({"world_shape": [0, 4]}, "1 to 67108864 cells"),
-        ({"world_shape": [10**9, 10**9]}, "`world_shape` is|world_shape"),
-        ({"torodial": True}, "torodial"),
-        ({"threat_location": [[0, 1, 1.5]]}, r"`threat_location\[0\]\[2\]` is 1.5"),
-        ({"threat_location": [[0, 1]]}, r"`threat_location\[0\]` is \[0, 1\]; expected \[row, col, p\]"),
-        ({"obstacles_location": [[3, 0]]}, r"`obstacles_location\[0\]\[0\]` is 3; expected \[row, col\], row 0..2"),
-        ({"obstacles_location": [[0.5, 0]]}, r"is \[0.5, 0\]; expected"),
-        ({"n_agents": 0}, "n_agents"),
-        ({"agents_placement": [[1, 1]], "n_agents": 1}, "an obstacle"),
-        ({"types_matrix": [[1.0], [1.0, 2.0]]}, "`types_matrix` is"),
-        ({"types_matrix": [[1.0]]}, r"expected \[row, col, p, type\]"),
-        ({"types_matrix": [[1.0]], "threat_location": [[0, 1, 0.5, 1]]}, r"`threat_location\[0\]\[3\]` is 1"),
-        ({"types_matrix": [[3.0]], "threat_location": [[0, 1, 0.5, 0]]}, "p = 1.5 for a robot of type 0"),
-    ],
-)
+REFUSED_MAPS = [
+    ({"world_shape": [3]}, r"`world_shape` is \[3\]; expected \[row, col\]"),
+    ({"world_shape": [0, 4]}, "1 to 67108864 cells"),
+    ({"world_shape": [10**9, 10**9]}, "`world_shape` is|world_shape"),
+    ({"torodial": True}, "torodial"),
+    ({"threat_location": [[0, 1, 1.5]]}, r"`threat_location\[0\]\[2\]` is 1.5"),
+    ({"threat_location": [[0, 1]]}, r"`threat_location\[0\]` is \[0, 1\]; expected \[row, col, p\]"),
+    ({"obstacles_location": [[3, 0]]}, r"`obstacles_location\[0\]\[0\]` is 3; expected \[row, col\], row 0..2"),
+    ({"obstacles_location": [[0.5, 0]]}, r"is \[0.5, 0\]; expected"),
+    ({"n_agents": 0}, "n_agents"),
+    ({"agents_placement": [[1, 1]], "n_agents": 1}, "an obstacle"),
+    ({"types_matrix": [[1.0], [1.0, 2.0]]}, "`types_matrix` is"),
+    ({"types_matrix": [[1.0]]}, r"expected \[row, col, p, type\]"),
+    ({"types_matrix": [[1.0]], "threat_location": [[0, 1, 0.5, 1]]}, r"`threat_location\[0\]\[3\]` is 1"),
+    ({"types_matrix": [[3.0]], "threat_location": [[0, 1, 0.5, 0]]}, "p = 1.5 for a robot of type 0"),
+]
+
+
+@pytest.mark.parametrize(("changes", "words"), REFUSED_MAPS)
 def test_maps_that_are_refused(tmp_path: Path, changes: dict, words: str) -> None:
     with pytest.raises(InputError, match=words):
         load_input(maps(tmp_path, **changes))

@@ -200,16 +200,16 @@ def test_a_scenario_says_what_a_threat_is_to_a_type(tmp_path: Path) -> None:
     assert read_plan(tmp_path / "plan.json", again).settings == plan.settings
 
 
-@pytest.mark.parametrize(
-    ("was", "now", "said"),
-    [
-        ("type: mine", "type: mines", "`threats\\[1\\].type` is 'mines'; expected mine or radiation; did you"),
-        ("types: [drone, rover]", "types: [drone, 3]", "`robots.types` is"),
-        ("matrix: {drone: {mine: 0}", "matrix: {drone: {mine: -1}", "`robots.matrix.drone.mine` is -1"),
-        ("matrix: {drone: {mine: 0}", "matrix: {drone: 2", "`robots.matrix.drone`"),
-        ("radiation: 0.5", "radiation: 20", "p = 1.6 for a robot of type rover"),
-    ],
-)
+WRONG_TYPES = [
+    ("type: mine", "type: mines", "`threats\\[1\\].type` is 'mines'; expected mine or radiation; did you"),
+    ("types: [drone, rover]", "types: [drone, 3]", "`robots.types` is"),
+    ("matrix: {drone: {mine: 0}", "matrix: {drone: {mine: -1}", "`robots.matrix.drone.mine` is -1"),
+    ("matrix: {drone: {mine: 0}", "matrix: {drone: 2", "`robots.matrix.drone`"),
+    ("radiation: 0.5", "radiation: 20", "p = 1.6 for a robot of type rover"),
+]
+
+
+@pytest.mark.parametrize(("was", "now", "said"), WRONG_TYPES)
 def test_wrong_types_are_refused_by_their_key(was: str, now: str, said: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=said):
         site(tmp_path, SITE.replace(was, now))

@@ -153,15 +153,15 @@ def test_without_nominal_the_end_of_the_run_is_worked_out(tmp_path: Path) -> Non
     assert load_plan(written(tmp_path, data), WORLD).outcome == "step_limit"
 
 
-@pytest.mark.parametrize(
-    ("before", "now"),
-    [
-        ("complete", "complete"),
-        ("stuck", "no_progress"),
-        ("timeout", "step_limit"),
-        ("called_off", "not_worth_the_risk"),
-    ],
-)
+OUTCOMES_OF_0_3 = [
+    ("complete", "complete"),
+    ("stuck", "no_progress"),
+    ("timeout", "step_limit"),
+    ("called_off", "not_worth_the_risk"),
+]
+
+
+@pytest.mark.parametrize(("before", "now"), OUTCOMES_OF_0_3)
 def test_outcomes_of_0_3_are_read_and_written_by_their_names_of_today(tmp_path: Path, before: str, now: str) -> None:
     data = own_plan().to_json()
     data["nominal"]["outcome"] = before
@@ -242,15 +242,15 @@ def test_what_could_not_be_read_back_is_not_written(tmp_path: Path, monkeypatch:
     assert not (tmp_path / "other.json").exists()
 
 
-@pytest.mark.parametrize(
-    ("data", "said"),
-    [
-        ([[0, 0], [0, 1]], "put it in a list: [[[row, col], ...]]"),
-        ([[[0, 0], [0, 9]]], "`[0][1]` is [0, 9], off the map"),
-        ([3, 4], "`[0]` is 3; expected at least the start: [[row, col], ...]"),
-        ([{"path": [[0, 0]]}], "expected at least the start: [[row, col], ...]"),
-    ],
-)
+BARE_LISTS = [
+    ([[0, 0], [0, 1]], "put it in a list: [[[row, col], ...]]"),
+    ([[[0, 0], [0, 9]]], "`[0][1]` is [0, 9], off the map"),
+    ([3, 4], "`[0]` is 3; expected at least the start: [[row, col], ...]"),
+    ([{"path": [[0, 0]]}], "expected at least the start: [[row, col], ...]"),
+]
+
+
+@pytest.mark.parametrize(("data", "said"), BARE_LISTS)
 def test_other_bare_lists_are_refused_with_the_right_hint(tmp_path: Path, data: Any, said: str) -> None:
     assert said in refused(written(tmp_path, data))
 
@@ -263,33 +263,33 @@ def test_json_that_is_no_plan(tmp_path: Path, data: Any) -> None:
 # --- what is refused: paths ---
 
 
-@pytest.mark.parametrize(
-    ("paths", "words"),
-    [
-        ([], ["`paths` is []"]),
-        ({}, ["`paths` is {}"]),
-        (None, ["`paths` is None"]),
-        ([[]], ["[0]`", "[]", "at least the start"]),
-        ([[[0, 0]], []], ["[1]`"]),
-        ([[[0, 0]], "north"], ["[1]`", "'north'"]),
-        ([[[0, 0]], [[0, 3], [0, 4]]], ["[1][1]`", "[0, 4]", "off the map", "col 0..3"]),
-        ([[[0, 0], [-1, 0]]], ["[0][1]`", "[-1, 0]", "off the map", "row 0..1"]),
-        ([[[0, 10**30]]], ["[0][0]`", "off the map"]),
-        ([[[0, 0], [1, 0]]], ["[0][1]`", "[1, 0]", "obstacle"]),
-        ([[[0, 0], [0, 1], [1, 2]]], ["[0]` jumps", "at step 2", "[0, 1]", "[1, 2]"]),
-        ([[[0, 3], [1, 3], [1, 1]]], ["[0]` jumps", "at step 2", "[1, 3]", "[1, 1]"]),
-        ([[[0, 0], [0.0, 1.0]]], ["[0][1]`", "[0.0, 1.0]", "[row, col]"]),
-        ([[[0, 0], [0, True]]], ["[0][1]`", "[0, True]"]),
-        ([[[0, 0], [0, float("nan")]]], ["[0][1]`", "[0, nan]"]),
-        ([[[0, 0], [0, "1"]]], ["[0][1]`", "[0, '1']"]),
-        ([[[0, 0], [0, None]]], ["[0][1]`", "[0, None]"]),
-        ([[[0, 0], [0, 1, 0]]], ["[0][1]`", "[0, 1, 0]"]),
-        ([[[0, 0], 1]], ["[0][1]`", "is 1,"]),
-        ([[[0, 0], [[0, 0], [0, 0]]]], ["[0][1]`"]),
-        ([[[0, 0], {"row": 0, "col": 1}]], ["[0][1]`", "row"]),
-        ([[0, 0]], ["[0][0]`"]),
-    ],
-)
+WRONG_PATHS = [
+    ([], ["`paths` is []"]),
+    ({}, ["`paths` is {}"]),
+    (None, ["`paths` is None"]),
+    ([[]], ["[0]`", "[]", "at least the start"]),
+    ([[[0, 0]], []], ["[1]`"]),
+    ([[[0, 0]], "north"], ["[1]`", "'north'"]),
+    ([[[0, 0]], [[0, 3], [0, 4]]], ["[1][1]`", "[0, 4]", "off the map", "col 0..3"]),
+    ([[[0, 0], [-1, 0]]], ["[0][1]`", "[-1, 0]", "off the map", "row 0..1"]),
+    ([[[0, 10**30]]], ["[0][0]`", "off the map"]),
+    ([[[0, 0], [1, 0]]], ["[0][1]`", "[1, 0]", "obstacle"]),
+    ([[[0, 0], [0, 1], [1, 2]]], ["[0]` jumps", "at step 2", "[0, 1]", "[1, 2]"]),
+    ([[[0, 3], [1, 3], [1, 1]]], ["[0]` jumps", "at step 2", "[1, 3]", "[1, 1]"]),
+    ([[[0, 0], [0.0, 1.0]]], ["[0][1]`", "[0.0, 1.0]", "[row, col]"]),
+    ([[[0, 0], [0, True]]], ["[0][1]`", "[0, True]"]),
+    ([[[0, 0], [0, float("nan")]]], ["[0][1]`", "[0, nan]"]),
+    ([[[0, 0], [0, "1"]]], ["[0][1]`", "[0, '1']"]),
+    ([[[0, 0], [0, None]]], ["[0][1]`", "[0, None]"]),
+    ([[[0, 0], [0, 1, 0]]], ["[0][1]`", "[0, 1, 0]"]),
+    ([[[0, 0], 1]], ["[0][1]`", "is 1,"]),
+    ([[[0, 0], [[0, 0], [0, 0]]]], ["[0][1]`"]),
+    ([[[0, 0], {"row": 0, "col": 1}]], ["[0][1]`", "row"]),
+    ([[0, 0]], ["[0][0]`"]),
+]
+
+
+@pytest.mark.parametrize(("paths", "words"), WRONG_PATHS)
 def test_paths_that_cannot_be_driven(tmp_path: Path, paths: Any, words: list[str]) -> None:
     files = [{"paths": paths}]
     if isinstance(paths, list) and paths:
@@ -827,16 +827,16 @@ def test_a_scenario_says_it(tmp_path: Path) -> None:
         load_input(tmp_path / "m.yaml")
 
 
-@pytest.mark.parametrize(
-    ("lines", "said"),
-    [
-        (("step: {seconds: 0}",), "`step.seconds` is 0; expected seconds, 1e-06 to 1e\\+06"),
-        (("step: 2",), "`step`"),
-        (("step: {seconds: 2}", "speed: 1"), "`speed` is 1; expected none together with step"),
-        (("speed: 1",), "without a cell size in metres.*resolution: 0.5"),
-        (("deadline: 20q",), "`deadline` is '20q'.*or a time, as 45min"),
-    ],
-)
+WRONG_SCENARIOS = [
+    (("step: {seconds: 0}",), "`step.seconds` is 0; expected seconds, 1e-06 to 1e\\+06"),
+    (("step: 2",), "`step`"),
+    (("step: {seconds: 2}", "speed: 1"), "`speed` is 1; expected none together with step"),
+    (("speed: 1",), "without a cell size in metres.*resolution: 0.5"),
+    (("deadline: 20q",), "`deadline` is '20q'.*or a time, as 45min"),
+]
+
+
+@pytest.mark.parametrize(("lines", "said"), WRONG_SCENARIOS)
 def test_a_scenario_that_is_wrong(tmp_path: Path, lines: tuple[str, ...], said: str) -> None:
     with pytest.raises(InputError, match=said):
         load_input(scenario(tmp_path, *lines))

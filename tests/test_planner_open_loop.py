@@ -171,14 +171,14 @@ def test_seconds_end_the_search_and_that_is_said() -> None:
     assert plan.notes[1] == "the search ended before its 1,000,000,000 evaluations: its time limit was reached"
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["evaluate", "--effort", "9"], "--effort 9 with --plan-for closed_loop"),
-        (["plan", "--seconds", "9"], "--seconds 9 is for plans for the open loop"),
-        (["plan", "--plan-for", "both"], "--plan-for 'both'; expected closed_loop or open_loop"),
-    ],
-)
+BAD_INPUT = [
+    (["evaluate", "--effort", "9"], "--effort 9 with --plan-for closed_loop"),
+    (["plan", "--seconds", "9"], "--seconds 9 is for plans for the open loop"),
+    (["plan", "--plan-for", "both"], "--plan-for 'both'; expected closed_loop or open_loop"),
+]
+
+
+@pytest.mark.parametrize(("words", "said"), BAD_INPUT)
 def test_bad_input_is_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert said in error_of(capsys, words[0], "example:paper", *words[1:])
 

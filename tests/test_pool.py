@@ -153,8 +153,7 @@ def none_left(pids: list[int], seconds: float) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("numbers", "seed", "span"),
-    [(range(1, 3), 3, 0.3), pytest.param(range(100), 4, 0.5, marks=pytest.mark.slow)],
+    ("numbers", "seed", "span"), [(range(1, 3), 3, 0.3), pytest.param(range(100), 4, 0.5, marks=pytest.mark.slow)]
 )
 def test_ctrl_c_ends_it_whatever_the_tasks_are(numbers: range, seed: int, span: float) -> None:
     """Ctrl-C, for half of them twice, from the pool's first moment on."""

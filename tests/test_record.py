@@ -166,17 +166,17 @@ def test_it_says_that_it_writes(tmp_path: Path) -> None:
     assert told == ["writing rollout 1 of 2", "writing rollout 2 of 2", "closing the file"]
 
 
-@pytest.mark.parametrize(
-    ("request_", "said"),
-    [
-        (rolling.Request(), "nothing to record"),
-        (rolling.Request(ids=(1,), step_seconds=0.0), "step_seconds=0.0"),
-        (rolling.Request(ids=(1,), step_seconds=501.0), "step_seconds=501.0"),
-        (rolling.Request(picks=rolling.parse_picks("best")), "picks"),
-        (rolling.Request(ids=(1,), outcomes=True), "outcomes"),
-        (rolling.Request(ids=(1,), first_only=True, loop="open"), "first_only=True"),
-    ],
-)
+WRONG_REQUESTS = [
+    (rolling.Request(), "nothing to record"),
+    (rolling.Request(ids=(1,), step_seconds=0.0), "step_seconds=0.0"),
+    (rolling.Request(ids=(1,), step_seconds=501.0), "step_seconds=501.0"),
+    (rolling.Request(picks=rolling.parse_picks("best")), "picks"),
+    (rolling.Request(ids=(1,), outcomes=True), "outcomes"),
+    (rolling.Request(ids=(1,), first_only=True, loop="open"), "first_only=True"),
+]
+
+
+@pytest.mark.parametrize(("request_", "said"), WRONG_REQUESTS)
 def test_requests_that_make_no_sense(tmp_path: Path, request_: rolling.Request, said: str) -> None:
     world, plan = small_task()
     with pytest.raises(UsageError, match=said):

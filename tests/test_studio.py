@@ -340,35 +340,35 @@ def test_100_boards_at_once_are_answered_with_the_last_one(served: Served) -> No
     assert served.studio.latest.begun - begun < 100
 
 
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        ({"cells": "AAAA"}, "`cells`"),
-        ({"cells": "?"}, "`cells`"),
-        ({"cells": [0.1]}, "`cells`"),
-        ({"cells": base64.b64encode(np.full(14 * 23, 2, "<f4").tobytes()).decode()}, "threat is 2 at [0, 0]"),
-        ({"cells": base64.b64encode(np.full(14 * 23, np.nan, "<f4").tobytes()).decode()}, "every cell is an obstacle"),
-        ({"unknown": "AAAA"}, "`unknown`"),
-        ({"believed": 1}, "`believed`"),
-        (
-            {"sensor_range": 0.5, "unknown": base64.b64encode(np.ones(14 * 23, "u1").tobytes()).decode()},
-            "sensor_range is 0.5",
-        ),
-        ({"deadline": "45min"}, "the duration of a step is not given"),
-        ({"deadline": "soon"}, "`deadline` is soon"),
-        ({"starts": [[99, 0]]}, "outside the map"),
-        ({"starts": [[2**70, 0]]}, "`starts[0][0]`"),
-        ({"starts": [[0, 0, 0]]}, "`starts[0]`"),
-        ({"starts": []}, "`starts`"),
-        ({"robots": 0}, "`robots`"),
-        ({"robots": 1e9}, "`robots`"),
-        ({"policy": "<b>"}, "`policy`"),
-        ({"risk_cap": 0.5}, "risk_cap is 0.5 with policy mrac"),
-        ({"policy": "per_cell", "robot_value": -1}, "robot_value is -1"),
-        ({"deadline": 0}, "`deadline`"),
-        ({"out": "/etc/passwd"}, "unknown key `out`"),
-    ],
-)
+WRONG_BOARDS = [
+    ({"cells": "AAAA"}, "`cells`"),
+    ({"cells": "?"}, "`cells`"),
+    ({"cells": [0.1]}, "`cells`"),
+    ({"cells": base64.b64encode(np.full(14 * 23, 2, "<f4").tobytes()).decode()}, "threat is 2 at [0, 0]"),
+    ({"cells": base64.b64encode(np.full(14 * 23, np.nan, "<f4").tobytes()).decode()}, "every cell is an obstacle"),
+    ({"unknown": "AAAA"}, "`unknown`"),
+    ({"believed": 1}, "`believed`"),
+    (
+        {"sensor_range": 0.5, "unknown": base64.b64encode(np.ones(14 * 23, "u1").tobytes()).decode()},
+        "sensor_range is 0.5",
+    ),
+    ({"deadline": "45min"}, "the duration of a step is not given"),
+    ({"deadline": "soon"}, "`deadline` is soon"),
+    ({"starts": [[99, 0]]}, "outside the map"),
+    ({"starts": [[2**70, 0]]}, "`starts[0][0]`"),
+    ({"starts": [[0, 0, 0]]}, "`starts[0]`"),
+    ({"starts": []}, "`starts`"),
+    ({"robots": 0}, "`robots`"),
+    ({"robots": 1e9}, "`robots`"),
+    ({"policy": "<b>"}, "`policy`"),
+    ({"risk_cap": 0.5}, "risk_cap is 0.5 with policy mrac"),
+    ({"policy": "per_cell", "robot_value": -1}, "robot_value is -1"),
+    ({"deadline": 0}, "`deadline`"),
+    ({"out": "/etc/passwd"}, "unknown key `out`"),
+]
+
+
+@pytest.mark.parametrize(("change", "named"), WRONG_BOARDS)
 def test_a_wrong_board_is_named_in_one_line(change: dict[str, Any], named: str) -> None:
     first = sketch()
     with pytest.raises(InputError) as found:

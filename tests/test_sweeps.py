@@ -898,13 +898,13 @@ def shifted(world: World) -> World:
     return world.with_phases([(9, np.where(world.free, both, np.nan))])
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "made"),
-    [
-        ("latent_hazard", "{kind: persistent, h: 0.5, learn: true}", mined),
-        ("phases", "[{from: 9, threats: [{raster: %s}]}]", shifted),
-    ],
-)
+ON_RANDOM_MAPS = [
+    ("latent_hazard", "{kind: persistent, h: 0.5, learn: true}", mined),
+    ("phases", "[{from: 9, threats: [{raster: %s}]}]", shifted),
+]
+
+
+@pytest.mark.parametrize(("key", "value", "made"), ON_RANDOM_MAPS)
 def test_random_maps_have_hazards_and_phases(key: str, value: str, made: Any, tmp_path: Path) -> None:
     np.save(tmp_path / "shift.npy", SHIFT.threat)
     text = f"base: {{size: 6x8, robots: 2}}\nmaps: 3\nseed: 3\nsweep: {{{key}: [{value}]}}"

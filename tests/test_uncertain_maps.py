@@ -346,8 +346,7 @@ def test_one_robot_is_exact_by_level_and_teams_are_known_robot_by_robot() -> Non
 
 
 @pytest.mark.parametrize(
-    ("robots", "h", "percent"),
-    [(2, 1.0, 64.675), (4, 1.0, 70.187), (8, 1.0, 76.173), (12, 0.6, 83.461)],
+    ("robots", "h", "percent"), [(2, 1.0, 64.675), (4, 1.0, 70.187), (8, 1.0, 76.173), (12, 0.6, 83.461)]
 )
 def test_teams_among_hazards_in_many_shared_cells(robots: int, h: float, percent: float) -> None:
     """Against values of another program; sampled values lie within five standard errors."""
