@@ -251,40 +251,29 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
 
 
 WRONG_USAGE = [
-    ("evaluate nowhere.npz", "no such file"),
-    ("evaluate WORLD --robots 0", "--robots 0"),
+    ("evaluate nowhere.npz", "no such file"), ("evaluate WORLD --robots 0", "--robots 0"),
     ("evaluate WORLD --robots x", "--robots 'x'; expected a whole number"),
-    ("evaluate WORLD --risk none", "paper or log"),
-    ("evaluate WORLD --robots 2000", "1 to 1024"),
-    ("evaluate WORLD --starts 0,0", "obstacle"),
-    ("evaluate WORLD --starts 99,0", "outside the map"),
+    ("evaluate WORLD --risk none", "paper or log"), ("evaluate WORLD --robots 2000", "1 to 1024"),
+    ("evaluate WORLD --starts 0,0", "obstacle"), ("evaluate WORLD --starts 99,0", "outside the map"),
     ("evaluate WORLD --starts 0;1", '"row,col;row,col;..."'),
     ("evaluate WORLD --starts 0,1;0,2 --robots 3", "contradicts the 2 starts"),
     ("evaluate WORLD --rollouts 0", "--rollouts 0"),
     ("evaluate WORLD --rollouts 1.5", "--rollouts '1.5'; expected a whole number"),
-    ("evaluate WORLD --rollouts 1.5e0", "whole number"),
-    ("evaluate WORLD --rollouts 1e-3", "whole number"),
-    ("evaluate WORLD --rollouts 1_", "whole number"),
-    ("evaluate WORLD --rollouts 1e99", "1 to 4294967296"),
+    ("evaluate WORLD --rollouts 1.5e0", "whole number"), ("evaluate WORLD --rollouts 1e-3", "whole number"),
+    ("evaluate WORLD --rollouts 1_", "whole number"), ("evaluate WORLD --rollouts 1e99", "1 to 4294967296"),
     ("evaluate WORLD --precision 0", "--precision 0"),
     ("evaluate WORLD --precision nan", "--precision 'nan'; expected a number"),
-    ("evaluate WORLD --precision 0.1 --rollouts 5", "one of them"),
-    ("evaluate WORLD --seed -1", "--seed -1"),
-    ("evaluate WORLD --seed 18446744073709551616", "2**64"),
-    ("evaluate WORLD --exact 1e308", "at most 1e6"),
-    ("evaluate WORLD --deadline -1", "--deadline -1"),
-    ("evaluate WORLD --cell-size 0", "cell_size"),
-    ("evaluate WORLD --cell-size 1.5", "1.5"),
-    ("evaluate WORLD --levels 1", "--levels 1; expected"),
+    ("evaluate WORLD --precision 0.1 --rollouts 5", "one of them"), ("evaluate WORLD --seed -1", "--seed -1"),
+    ("evaluate WORLD --seed 18446744073709551616", "2**64"), ("evaluate WORLD --exact 1e308", "at most 1e6"),
+    ("evaluate WORLD --deadline -1", "--deadline -1"), ("evaluate WORLD --cell-size 0", "cell_size"),
+    ("evaluate WORLD --cell-size 1.5", "1.5"), ("evaluate WORLD --levels 1", "--levels 1; expected"),
     ("evaluate WORLD --density 1", "--density 1; expected"),
     ("evaluate WORLD --density 1e9", "--density 1e+09; expected"),
     ("evaluate WORLD --max-steps 0", "--max-steps 0; expected a whole number, 1 to 4194302"),
     *((f"evaluate WORLD {left}", PER_VISIT) for left in ("--luck step", "--luck=tolerance", "--mode fast")),
-    ("record WORLD --luck step --out x.mcap", PER_VISIT),
-    ("front WORLD --luck step", PER_VISIT),
+    ("record WORLD --luck step --out x.mcap", PER_VISIT), ("front WORLD --luck step", PER_VISIT),
     ("evaluate WORLD --loop open --threat-checks first_visit", "closed loop"),
-    ("evaluate WORLD --plan nowhere.json", "no such file"),
-    ("evaluate WORLD --out WORLD", "is a file"),
+    ("evaluate WORLD --plan nowhere.json", "no such file"), ("evaluate WORLD --out WORLD", "is a file"),
     ("evaluate WORLD --robot 3", "Unknown option: --robot; did you mean '--robots'?"),
     ("evaluate WORLD --Robots=3", "Unknown option: --Robots; did you mean '--robots'?"),
     ("evaluate WORLD --losses 1", "Unknown option: --losses; it is an option of front"),
@@ -300,44 +289,29 @@ WRONG_USAGE = [
     ("plan WORLD --policy per_cell --risk-cap 20", "did you mean 0.2?"),
     ("export WORLD --to nav3", "--to 'nav3'; expected qgc or nav2 or geojson or kml or gpx or csv or geotiff; did"),
     ("export WORLD --to GeoJson --out x.geojson", "did you mean 'geojson'?"),
-    ("record WORLD --loop close", "did you mean 'closed'?"),
-    ("evaluate example:papr", "did you mean 'paper'?"),
-    ("evalute WORLD", "Did you mean"),
-    ("evaluate", "INPUT"),
-    ("evaluate example:nothing", "example:terrain"),
+    ("record WORLD --loop close", "did you mean 'closed'?"), ("evaluate example:papr", "did you mean 'paper'?"),
+    ("evalute WORLD", "Did you mean"), ("evaluate", "INPUT"), ("evaluate example:nothing", "example:terrain"),
     ("plan WORLD --out nowhere/plan.json", "folder"),
     ("plan WORLD --waypoints route.txt", "no format has the suffix '.txt'; expected .plan .yaml .geojson"),
-    ("plan WORLD --waypoints route.geojson", "the map has no georeference"),
-    ("plan WORLD --waypoints route", ".csv"),
-    ("size WORLD", "--target, a fraction"),
-    ("size WORLD --target 0", "--target 0"),
-    ("size WORLD --target 1.1", "--target 1.1"),
-    ("size WORLD --target 90%", "expected a number"),
-    ("size WORLD --target 1", "use --complete"),
-    ("size WORLD --target 0.9 --complete", "one of them"),
+    ("plan WORLD --waypoints route.geojson", "the map has no georeference"), ("plan WORLD --waypoints route", ".csv"),
+    ("size WORLD", "--target, a fraction"), ("size WORLD --target 0", "--target 0"),
+    ("size WORLD --target 1.1", "--target 1.1"), ("size WORLD --target 90%", "expected a number"),
+    ("size WORLD --target 1", "use --complete"), ("size WORLD --target 0.9 --complete", "one of them"),
     ("size WORLD --target 0.9 --confidence 1", "--confidence 1"),
-    ("size WORLD --target 0.9 --confidence 0", "--confidence 0"),
-    ("size WORLD --target 0.9 --most 0", "--most 0"),
+    ("size WORLD --target 0.9 --confidence 0", "--confidence 0"), ("size WORLD --target 0.9 --most 0", "--most 0"),
     ("size WORLD --target 0.9 --most 1025", "1 to 1024"),
     ("size WORLD --target 0.9 --metric seen", "visited or survived or delivered"),
     ("front WORLD --metric delivered", "without a base"),
     ("front WORLD --metric delivered --engine jax", "--engine numba"),
-    ("size WORLD --target 0.9 --plan plan.json", "--plan"),
-    ("size WORLD --target 0.9 --robots 3", "--robots"),
-    ("generate world.txt", ".npz"),
-    ("generate world.npz --size 20", "HxW"),
-    ("generate world.npz --size 0x5", "0"),
-    ("generate world.npz --size 99999x99999", "cells"),
-    ("generate world.npz --levels 0.1,x", "--levels"),
-    ("generate world.npz --levels 1.5", "1.5"),
-    ("generate world.npz --ratio 2", "--ratio"),
+    ("size WORLD --target 0.9 --plan plan.json", "--plan"), ("size WORLD --target 0.9 --robots 3", "--robots"),
+    ("generate world.txt", ".npz"), ("generate world.npz --size 20", "HxW"), ("generate world.npz --size 0x5", "0"),
+    ("generate world.npz --size 99999x99999", "cells"), ("generate world.npz --levels 0.1,x", "--levels"),
+    ("generate world.npz --levels 1.5", "1.5"), ("generate world.npz --ratio 2", "--ratio"),
     ("generate world.npz --obstacles nan", "--obstacles"),
     ("generate world.npz --map WORLD --size 3x3", "those of the map"),
-    ("generate world.npz --kind scattered --areas 3", "--areas"),
-    ("generate world.npz --areas 0", "areas"),
-    ("generate world.npz --robots 0", "--robots 0"),
-    ("generate world.npz --cell-size 0.5", "name a map with --map"),
-]
+    ("generate world.npz --kind scattered --areas 3", "--areas"), ("generate world.npz --areas 0", "areas"),
+    ("generate world.npz --robots 0", "--robots 0"), ("generate world.npz --cell-size 0.5", "name a map with --map"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("words", "said"), WRONG_USAGE)
@@ -466,12 +440,8 @@ def test_tampered_plan_files_are_refused(tmp_path: Path, capsys: pytest.CaptureF
     for robot in without_legs["robots"]:
         robot["legs"] = []
     file.write_text(json.dumps(without_legs))
-    assert (
-        answer_of(capsys, "evaluate", world, "--plan", str(file), "--rollouts", "64")["bounds"]["theorem3"]["visited"][
-            "interior_set"
-        ]
-        is not None
-    )
+    bounds = answer_of(capsys, "evaluate", world, "--plan", str(file), "--rollouts", "64")["bounds"]
+    assert bounds["theorem3"]["visited"]["interior_set"] is not None
 
 
 def test_outputs_never_replace_the_input_or_each_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -655,27 +625,23 @@ FEW, TEAM = ["--rollouts", "64"], ["--robots", "3"]
 CLOSED, FRONT = ["evaluate", "map.npz", *TEAM, *FEW], ["--robot-values", "12.5", "--risk-caps", "0.25", *FEW]
 COMMANDS = {
     "evaluate": [*CLOSED, "--threat-scale", "0.5,2", "--deadline", "40", "--theory"],
-    "open loop": [*CLOSED, "--loop", "open", "--theory"],
-    "value": ["evaluate", "valued.yaml", *FEW],
+    "open loop": [*CLOSED, "--loop", "open", "--theory"], "value": ["evaluate", "valued.yaml", *FEW],
     "in doubt": ["evaluate", "doubtful.yaml", *FEW],
     "size": ["size", "map.npz", "--target", "0.9", "--most", "4", *FEW],
     "size of value": ["size", "valued.yaml", "--target", "0.9", "--most", "4", *FEW],
     "front": ["front", "map.npz", *TEAM, *FRONT],
     "front with a goal": ["front", "valued.yaml", "--target", "0.5", *FRONT],
-    "starts": ["starts", "map.npz", *TEAM, *FEW],
-    "starts of value": ["starts", "valued.yaml", "--depot", *FEW],
+    "starts": ["starts", "map.npz", *TEAM, *FEW], "starts of value": ["starts", "valued.yaml", "--depot", *FEW],
     "threats to remove": ["threats", "map.npz", "--remove", "1", *TEAM, *FEW],
     "threats to add": ["threats", "map.npz", "--add", "1", *TEAM, *FEW],
     "threats to add on value": ["threats", "valued.yaml", "--add", "2", "--p", "0.4", *FEW],
     "compare": ["compare", "map.npz", *TEAM, "--b.policy", "per_cell", "--b.robot-value", "12.5", *FEW],
     "check": ["check", "map.npz", *TEAM, *FEW],
     "check of many": ["check", "--worlds", "2", "--robots", "1,2,3,4,12", "--size", "6x6", "--processes", "1", *FEW],
-    "plan": ["plan", "map.npz", *TEAM],
-    "sweep": ["sweep", "sweep.yaml", "--store", "results.db", "--processes", "1"],
-    "results": ["results", "results.db"],
-    "record": ["record", "map.npz", *TEAM, "--out", "run.mcap", "--force"],
+    "plan": ["plan", "map.npz", *TEAM], "sweep": ["sweep", "sweep.yaml", "--store", "results.db", "--processes", "1"],
+    "results": ["results", "results.db"], "record": ["record", "map.npz", *TEAM, "--out", "run.mcap", "--force"],
     "inspect": ["inspect", "run.mcap"],
-}
+}  # fmt: skip
 BEFORE = {"results": "sweep", "inspect": "record"}
 """What makes the file that a command reads."""
 

@@ -339,13 +339,8 @@ def test_what_robots_believe_is_called_so(tmp_path: Path) -> None:
 
 NUMBER = (int, float)
 HEAD = {
-    "fileType": str,
-    "version": NUMBER,
-    "groundStation": str,
-    "mission": dict,
-    "geoFence": dict,
-    "rallyPoints": dict,
-}
+    "fileType": str, "version": NUMBER, "groundStation": str, "mission": dict, "geoFence": dict, "rallyPoints": dict,
+}  # fmt: skip
 MISSION = {
     "plannedHomePosition": list, "items": list, "firmwareType": NUMBER, "vehicleType": NUMBER, "cruiseSpeed": NUMBER,
     "hoverSpeed": NUMBER, "globalPlanAltitudeMode": NUMBER, "version": NUMBER,

@@ -151,10 +151,8 @@ def test_greys_of_unknown_ground_that_the_thresholds_make_free_are_counted(tmp_p
 def test_greys_of_unknown_ground_elsewhere(tmp_path: Path) -> None:
     """Of a bare picture, of another program, and as obstacles."""
     Image.fromarray(np.array([[0, 205, 254]], dtype=np.uint8)).save(tmp_path / "bare.pgm")
-    assert (
-        "grey 205, which map_saver writes for unknown ground, is free in 1 pixel;"
-        in load_input(tmp_path / "bare.pgm").notes[0]
-    )
+    note = load_input(tmp_path / "bare.pgm").notes[0]
+    assert "grey 205, which map_saver writes for unknown ground, is free in 1 pixel;" in note
     other = np.array([[0, 128, 128, 255]], dtype=np.uint8)
     notes = load_input(ros(tmp_path, other, free_thresh=0.5)).notes
     assert notes[0].startswith(
@@ -358,16 +356,11 @@ def npz(member: bytes) -> bytes:
 HUGE_CLAIMS = [
     ("a.map", b"type octile\nheight 90000\nwidth 90000\nmap\n....\n"),
     ("a.map", b"type octile\nheight 999999999999\nwidth 9\nmap\n....\n"),
-    ("a.pgm", b"P5 8000 8000 255\n" + bytes(10)),
-    ("a.pgm", b"P5 100000 100000 255\n" + bytes(10)),
-    ("a.ppm", b"P2 8000 8000 255\n1 2 3\n"),
-    ("a.png", huge_png(8000)),
-    ("a.png", huge_png(100000)),
-    ("a.npy", npy_header((8000, 8000)) + bytes(8)),
-    ("a.npy", npy_header((10**9, 10**9)) + bytes(8)),
-    ("a.npz", npz(npy_header((8000, 8000)) + bytes(8))),
-    ("a.npz", npz(npy_header((10**9, 10**9)) + bytes(8))),
-]
+    ("a.pgm", b"P5 8000 8000 255\n" + bytes(10)), ("a.pgm", b"P5 100000 100000 255\n" + bytes(10)),
+    ("a.ppm", b"P2 8000 8000 255\n1 2 3\n"), ("a.png", huge_png(8000)), ("a.png", huge_png(100000)),
+    ("a.npy", npy_header((8000, 8000)) + bytes(8)), ("a.npy", npy_header((10**9, 10**9)) + bytes(8)),
+    ("a.npz", npz(npy_header((8000, 8000)) + bytes(8))), ("a.npz", npz(npy_header((10**9, 10**9)) + bytes(8))),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "data"), HUGE_CLAIMS)
@@ -629,9 +622,8 @@ def test_a_topic_of_several_is_chosen_in_a_scenario(tmp_path: Path) -> None:
         world = load_input(scenario)
         assert obstacle(world) == [cell] and not any("is used" in note for note in world.notes)
     scenario.write_text("map: {file: a.mcap, topic: /costmaps}\n")
-    with pytest.raises(
-        MapError, match=r"a\.mcap: holds no map on /costmaps; expected one of /costmap \(.*mean '/costmap'"
-    ):
+    said = r"a\.mcap: holds no map on /costmaps; expected one of /costmap \(.*mean '/costmap'"
+    with pytest.raises(MapError, match=said):
         load_input(scenario)
     np.save(tmp_path / "w.npy", np.zeros((3, 4)))
     scenario.write_text("map: {file: w.npy, topic: /map}\n")
@@ -659,9 +651,8 @@ def test_other_storage_is_named_with_what_to_do(tmp_path: Path) -> None:
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "old_0.db3").write_bytes(b"SQLite format 3")
     for path in (tmp_path / "old", tmp_path / "old" / "old_0.db3"):
-        with pytest.raises(
-            MapError, match=r"not MCAP: old_0\.db3; expected .*; convert it: `ros2 bag convert -i .*old"
-        ):
+        said = r"not MCAP: old_0\.db3; expected .*; convert it: `ros2 bag convert -i .*old"
+        with pytest.raises(MapError, match=said):
             load_input(path)
     (tmp_path / "packed").mkdir()
     (tmp_path / "packed" / "p_0.mcap.zstd").write_bytes(b"x")
@@ -708,9 +699,8 @@ def test_a_cut_log_names_what_saves_its_maps(tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: len(data) // 2])
     for read in (load_input, lambda path: read_state(path, World.create(np.zeros((3, 4))), [[1, 1]]), inspect):
-        with pytest.raises(
-            InputError, match=r"truncated or damaged: .*; try `mrac-jax inspect --repair OUT .*/cut\.mcap`"
-        ):
+        said = r"truncated or damaged: .*; try `mrac-jax inspect --repair OUT .*/cut\.mcap`"
+        with pytest.raises(InputError, match=said):
             read(cut)
     for options in ({}, {"enable_crcs": False}):
         data = timed(tmp_path / "whole.mcap", *messages, chunk_size=2000, **options).read_bytes()
@@ -734,14 +724,10 @@ def test_values_between_the_thresholds_of_a_logged_map_are_counted(tmp_path: Pat
 # Other planners' instances: MAPS, LS-MCPP and DORA-Explorer, as their own readers understand them.
 
 MAPS = {
-    "agents_placement": [[0, 2], [1, 3], [2, 0]],
-    "n_agents": 2,
-    "obstacles_location": [[1, 1], [0, 0]],
-    "threat_location": [[0, 0, 0.3], [2.0, 3.0, 0.25], [1, 2, 1]],
-    "torodial": False,
-    "world_shape": [3, 4],
+    "agents_placement": [[0, 2], [1, 3], [2, 0]], "n_agents": 2, "obstacles_location": [[1, 1], [0, 0]],
+    "threat_location": [[0, 0, 0.3], [2.0, 3.0, 0.25], [1, 2, 1]], "torodial": False, "world_shape": [3, 4],
     "random_placement": False,
-}
+}  # fmt: skip
 MAP = "type octile\nheight 3\nwidth 5\nmap\n.....\n.@@..\n.....\n"
 
 

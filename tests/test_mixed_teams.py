@@ -289,17 +289,13 @@ def test_robots_leave_to_a_type_what_it_covers_for_less() -> None:
 # Robots of several speeds: both ways, equal speeds against one, the tree of all that can happen.
 
 KINDS_SPEEDS: list[dict[str, Any]] = [
-    {},
-    {"policy": "per_cell"},
-    {"policy": "per_cell", "risk_cap": 0.4, "robot_value": 30.0, "range": (40, 20, 60)},
-    {"policy": "watchful", "risk_cap": 0.4},
-    {"policy": "watchful", "types": ("a", "c", "b")},
-    {"range": 30, "deadline": 45},
-    {"return_to": "home", "range": 40, "deadline": 70},
+    {}, {"policy": "per_cell"}, {"policy": "per_cell", "risk_cap": 0.4, "robot_value": 30.0, "range": (40, 20, 60)},
+    {"policy": "watchful", "risk_cap": 0.4}, {"policy": "watchful", "types": ("a", "c", "b")},
+    {"range": 30, "deadline": 45}, {"return_to": "home", "range": 40, "deadline": 70},
     {"return_to": "nearest", "range": (25, 40, 60), "recharge": 7, "deadline": 140, "policy": "per_cell"},
     {"return_to": "home", "policy": "per_cell", "deadline": 60},
     {"transit": "area", "return_to": "nearest", "range": 30, "recharge": 4},
-]
+]  # fmt: skip
 PACES = [(1, 2, 3), (4, 6, 2)]
 
 

@@ -201,10 +201,8 @@ def test_scenarios_name_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     asked = ([str(scenario)], [str(tmp_path / "map.npz"), "--plan-for", "open_loop"])
     told = [answer_of(capsys, "evaluate", *words, "--rollouts", "64", "--effort", "10") for words in asked]
     assert (told[0]["plan_for"], told[0]["loop"]) == ("open_loop", "open") and told[0]["best"] == told[1]["best"]
-    assert (
-        answer_of(capsys, "evaluate", str(scenario), "--plan-for", "closed_loop", "--rollouts", "64")["loop"]
-        == "closed"
-    )
+    closed = answer_of(capsys, "evaluate", str(scenario), "--plan-for", "closed_loop", "--rollouts", "64")
+    assert closed["loop"] == "closed"
     assert run(["size", str(scenario), "--target", "0.5", "--rollouts", "64", "--most", "2", "--json"]) == 0
     capsys.readouterr()
     for command in (["starts", "--rollouts", "64"], ["studio"]):

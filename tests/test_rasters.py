@@ -454,9 +454,8 @@ def test_voids_of_probabilities_are_unknown(tmp_path: Path, void: float, dtype: 
     rules = ({}, {"rule": {"kind": "classes", "edges": [0.5], "p": [0.1, 0.2]}})
     for rule in rules[: 1 if dtype is np.uint8 else 2]:  # 255 may be a class
         path = scenario(tmp_path, map=bare(tmp_path), threats=[{"raster": "p.tif"} | rule])
-        with pytest.raises(
-            ScenarioError, match=r"p\.tif, which is nan \(no data\) at \[0, 0\] \(2 such cells\) \(2 pixels"
-        ):
+        said = r"p\.tif, which is nan \(no data\) at \[0, 0\] \(2 such cells\) \(2 pixels"
+        with pytest.raises(ScenarioError, match=said):
             load_input(path)
 
 
@@ -604,34 +603,34 @@ def test_columns_by_name(tmp_path: Path) -> None:
 HEADER = "x_m,y_m,counts,rate_cps\n"
 
 
-@pytest.mark.parametrize(
-    ("text", "source", "said"),
-    [
-        (HEADER + "1,1,2,3\n", {"strength": None}, "expected x, y and strength; name it in the scenario: "
-         "`strength: counts | rate_cps`"),
-        (HEADER + "1,1,2,3\n", {"strength": "rate"}, "expected 'rate' among them (strength)"),
-        (HEADER + "1,1,2,3\n", {"strength": "rate_cp"}, "did you mean 'rate_cps'?"),
-        (HEADER + "1,1,2,3\n", {"strength": 3}, "the name of a column"),
-        ("1,1,3\n", {}, "has no header"),
-        (HEADER, {}, "has a header and no points"),
-        ("", {}, "is empty"),
-        (HEADER + "1,1,2,\n", {}, "line 2: strength is ''"),
-        (HEADER + "1,1,2,nan\n", {}, "line 2: strength is 'nan'"),
-        (HEADER + "1,1,2,-3\n", {}, "values must not be negative"),
-        (HEADER + "1,1,2,3\n", {"rule": None}, "gives p = 3"),
-        (HEADER + "600000,1,2,3\n", {}, "and the map is 30 x 20 m from (0, 0)"),
-        (HEADER + "11.57549,48.13743,2,3\n", {}, "reproject it into metres of the map's frame"),
-        ("lon,lat,rate_cps\n11.5,48.1,3\n", {}, "expected x, y in metres"),
-        (HEADER + "1,1,2,3\n" * 131_073, {}, "at most 131072 points"),
-        (HEADER + "".join(f"{n % 64}.5,{n // 64}.5,2,3\n" for n in range(2100)), {}, "up to 2048"),
-        (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "spline"}}, "expected idw or kriging"),
-        (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "idw", "nugget": 3}}, "`threats[0].interpolate.nugget`"),
-        (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "idw", "power": -1}}, "a number above 0"),
-        (HEADER + "1,1,2,3\n", {"falloff": {"kind": "disc", "radius": 2}}, "none with interpolate"),
-        (HEADER + "1,1,2,.3\n", {"interpolate": None, "falloff": {"kind": "disc", "radius": 2}}, "none with falloff"),
-        (HEADER + "1,1,2,3\n", {"interpolate": None}, "interpolate: {kind: idw | kriging}"),
-    ],
-)  # fmt: skip
+NO_SURVEYS = [
+    (HEADER + "1,1,2,3\n", {"strength": None}, "expected x, y and strength; name it in the scenario: "
+     "`strength: counts | rate_cps`"),
+    (HEADER + "1,1,2,3\n", {"strength": "rate"}, "expected 'rate' among them (strength)"),
+    (HEADER + "1,1,2,3\n", {"strength": "rate_cp"}, "did you mean 'rate_cps'?"),
+    (HEADER + "1,1,2,3\n", {"strength": 3}, "the name of a column"),
+    ("1,1,3\n", {}, "has no header"),
+    (HEADER, {}, "has a header and no points"),
+    ("", {}, "is empty"),
+    (HEADER + "1,1,2,\n", {}, "line 2: strength is ''"),
+    (HEADER + "1,1,2,nan\n", {}, "line 2: strength is 'nan'"),
+    (HEADER + "1,1,2,-3\n", {}, "values must not be negative"),
+    (HEADER + "1,1,2,3\n", {"rule": None}, "gives p = 3"),
+    (HEADER + "600000,1,2,3\n", {}, "and the map is 30 x 20 m from (0, 0)"),
+    (HEADER + "11.57549,48.13743,2,3\n", {}, "reproject it into metres of the map's frame"),
+    ("lon,lat,rate_cps\n11.5,48.1,3\n", {}, "expected x, y in metres"),
+    (HEADER + "1,1,2,3\n" * 131_073, {}, "at most 131072 points"),
+    (HEADER + "".join(f"{n % 64}.5,{n // 64}.5,2,3\n" for n in range(2100)), {}, "up to 2048"),
+    (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "spline"}}, "expected idw or kriging"),
+    (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "idw", "nugget": 3}}, "`threats[0].interpolate.nugget`"),
+    (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "idw", "power": -1}}, "a number above 0"),
+    (HEADER + "1,1,2,3\n", {"falloff": {"kind": "disc", "radius": 2}}, "none with interpolate"),
+    (HEADER + "1,1,2,.3\n", {"interpolate": None, "falloff": {"kind": "disc", "radius": 2}}, "none with falloff"),
+    (HEADER + "1,1,2,3\n", {"interpolate": None}, "interpolate: {kind: idw | kriging}"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "source", "said"), NO_SURVEYS)
 def test_what_is_no_survey(tmp_path: Path, text: str, source: dict[str, Any], said: str) -> None:
     (tmp_path / "survey.csv").write_text(text)
     with pytest.raises(InputError) as caught:

@@ -555,9 +555,8 @@ def said_of(report: Recovered) -> list[str]:
 def refused(data: bytes, folder: Path) -> None:
     """The ordinary reader tells what to do about a damaged log."""
     put(data, folder)
-    with pytest.raises(
-        InputError, match=r"(truncated.*try `mrac-jax inspect --repair OUT .*in\.mcap`|not an MCAP file)"
-    ):
+    said = r"(truncated.*try `mrac-jax inspect --repair OUT .*in\.mcap`|not an MCAP file)"
+    with pytest.raises(InputError, match=said):
         list(open_log(folder / "in.mcap").messages())
 
 

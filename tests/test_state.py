@@ -93,13 +93,9 @@ def by_hand(world: World, plan: Plan, visited: list[int]) -> dict[str, Any]:
     robots: list[dict[str, Any]] = [{"cell": [int(row), int(col)]} for row, col in plan.starts]
     robots[0] = {"cell": robots[0]["cell"], "status": "dead"}
     return {
-        "format": "mrac-state",
-        "version": 1,
-        "world": {"shape": list(world.shape), "sha256": world.sha256},
-        "step": 20,
-        "visited": [list(divmod(cell, width)) for cell in visited],
-        "robots": robots,
-    }
+        "format": "mrac-state", "version": 1, "world": {"shape": list(world.shape), "sha256": world.sha256},
+        "step": 20, "visited": [list(divmod(cell, width)) for cell in visited], "robots": robots,
+    }  # fmt: skip
 
 
 def test_a_state_by_hand_is_allocated_anew() -> None:

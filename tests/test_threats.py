@@ -74,15 +74,11 @@ def test_what_lies_on_obstacles_does_not_matter(tmp_path: Path) -> None:
 
 
 NO_PROBABILITIES = [
-    (np.nan, RULE, "nan (no data) at [2, 4]"),
-    (np.inf, RULE, "infinite at [2, 4]"),
-    (-3.0, RULE, "p = -0.003 for the value -3 at [2, 4]"),
-    (1500.0, RULE, "p = 1.5 for the value 1500 at [2, 4]"),
-    (1000.0, RULE, "lower scale"),
-    (1e9, {"kind": "exposure", "rate": 1.0}, "p = 1 for the value 1e+09 at [2, 4]"),
-    (-1e300, {"kind": "exposure", "rate": 1e9}, "at [2, 4]"),
-    (1.0, None, "give a rule"),
-]
+    (np.nan, RULE, "nan (no data) at [2, 4]"), (np.inf, RULE, "infinite at [2, 4]"),
+    (-3.0, RULE, "p = -0.003 for the value -3 at [2, 4]"), (1500.0, RULE, "p = 1.5 for the value 1500 at [2, 4]"),
+    (1000.0, RULE, "lower scale"), (1e9, {"kind": "exposure", "rate": 1.0}, "p = 1 for the value 1e+09 at [2, 4]"),
+    (-1e300, {"kind": "exposure", "rate": 1e9}, "at [2, 4]"), (1.0, None, "give a rule"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("wrong", "rule", "names"), NO_PROBABILITIES)
@@ -265,16 +261,11 @@ def test_points_at_the_centres(tmp_path: Path) -> None:
 
 
 BROKEN_POINTS = [
-    ("", "is empty"),
-    ("x,y,strength\n", "no points"),
-    ("1,2\n", "line 1 has 2 values"),
-    ("1,2,0.5\n1,2\n", "line 2 has 2 values"),
-    ("1,1,0.5\n1e308,1,0.5\n", "line 2: x is '1e308'"),
-    ("1,2,1\n", "line 1: strength is 1"),
-    ("1,2,-0.1\n", "line 1: strength is -0.1"),
+    ("", "is empty"), ("x,y,strength\n", "no points"), ("1,2\n", "line 1 has 2 values"),
+    ("1,2,0.5\n1,2\n", "line 2 has 2 values"), ("1,1,0.5\n1e308,1,0.5\n", "line 2: x is '1e308'"),
+    ("1,2,1\n", "line 1: strength is 1"), ("1,2,-0.1\n", "line 1: strength is -0.1"),
     ("x,y,strength\n1,nan,0.1\n", "line 2: y is 'nan'"),
-    ("x,y,strength\n1,2,strong\n", "line 2: strength is 'strong'"),
-    ("x,y,z,w\n1,2,3,4\n", "columns x, y, z, w"),
+    ("x,y,strength\n1,2,strong\n", "line 2: strength is 'strong'"), ("x,y,z,w\n1,2,3,4\n", "columns x, y, z, w"),
     ("x;y;strength\n1,5;2;0.5\n3;4;0,25\n", "strength: line 3 has '0,25' and line 2 '0.5'"),
     ("x;y;strength\n1,234;2,345;0\n", "x: line 2: '1,234' may be 1.234 or 1234"),
     ("x;y;strength\n1.234;2,3;0\n", "x: line 2: '1.234' may be 1.234 or 1234"),
@@ -283,7 +274,7 @@ BROKEN_POINTS = [
     ("x,y,strength\n1;2;0.5\n", "line 2 has 1 values, and semicolons; expected 3 as above, separated by commas"),
     ("x,y,strength\n1,0,2,0,0,5\n", "if its numbers have decimal commas, separate the columns by semicolons"),
     ("1,0,2,0,0,5\n", "if its numbers have decimal commas, separate the columns by semicolons"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("text", "names"), BROKEN_POINTS)
@@ -439,17 +430,13 @@ RINGS: list[Any] = [
 
 
 BROKEN_POLYGONS = [
-    (feature([SQUARE], 1), "features[0]: property p is 1"),
-    (feature([SQUARE], None), "property p is missing"),
-    (feature([SQUARE], "high"), "'high'"),
-    (feature([SQUARE], math.nan), "nan"),
-    (feature(SQUARE, 0.1), "wrong coordinates"),
-    (feature([SQUARE[:2]], 0.1), "three finite points"),
+    (feature([SQUARE], 1), "features[0]: property p is 1"), (feature([SQUARE], None), "property p is missing"),
+    (feature([SQUARE], "high"), "'high'"), (feature([SQUARE], math.nan), "nan"),
+    (feature(SQUARE, 0.1), "wrong coordinates"), (feature([SQUARE[:2]], 0.1), "three finite points"),
     (feature([[[0, 0], [1, math.inf], [1, 1]]], 0.1), "three finite points"),
-    (feature([0, 0], 0.1, "Point"), "'Point'"),
-    ({"type": "Feature", "properties": [1]}, "properties"),
+    (feature([0, 0], 0.1, "Point"), "'Point'"), ({"type": "Feature", "properties": [1]}, "properties"),
     *((feature([ring], 0.5), "a.geojson: features[0]: wrong coordinates (a point is ") for ring in RINGS),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("wrong", "names"), BROKEN_POLYGONS)
@@ -558,14 +545,14 @@ def test_observers_are_told_apart_and_a_map_alone_has_no_sources(tmp_path: Path)
     assert load_input(tmp_path / "map.npz").sources is World.create(np.zeros((3, 3))).sources is None
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("a.kml", "<kml><Placemark><name> East  field</name><Polygon><outerBoundaryIs><LinearRing><coordinates>{}"
-                  "</coordinates></LinearRing></outerBoundaryIs></Polygon></Placemark></kml>"),
-        ("a.gpx", "<gpx><trk><name>East field</name><trkseg>{}</trkseg></trk></gpx>"),
-    ],
-)  # fmt: skip
+NAMED = [
+    ("a.kml", "<kml><Placemark><name> East  field</name><Polygon><outerBoundaryIs><LinearRing><coordinates>{}"
+              "</coordinates></LinearRing></outerBoundaryIs></Polygon></Placemark></kml>"),
+    ("a.gpx", "<gpx><trk><name>East field</name><trkseg>{}</trkseg></trk></gpx>"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "text"), NAMED)
 def test_kml_and_gpx_say_names_too(tmp_path: Path, name: str, text: str) -> None:
     corners = [(8.0, 47.0), (8.001, 47.0), (8.001, 47.001), (8.0, 47.001)]
     tuples = " ".join(f"{lon},{lat}" for lon, lat in corners)

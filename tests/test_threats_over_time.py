@@ -40,14 +40,9 @@ from planner.world.world import World, load_world_file
 # Threats that move: against exact values, and those against enumeration.
 
 KINDS: list[dict[str, Any]] = [
-    {},
-    {"policy": "per_cell"},
-    {"policy": "per_cell", "risk_cap": 0.5},
-    {"policy": "per_cell", "robot_value": 6.0},
-    {"range": 25},
-    {"policy": "per_cell", "range": 30},
-    {"transit": "area"},
-]
+    {}, {"policy": "per_cell"}, {"policy": "per_cell", "risk_cap": 0.5}, {"policy": "per_cell", "robot_value": 6.0},
+    {"range": 25}, {"policy": "per_cell", "range": 30}, {"transit": "area"},
+]  # fmt: skip
 ROLLOUTS = 20_000
 SMALL = World.create([[0.0, 0.1, np.nan], [0.2, 0.0, 0.0], [np.nan, 0.3, 0.0]])
 

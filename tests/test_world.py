@@ -55,13 +55,9 @@ def test_wrong_threats_are_named(threat: object, said: str, tmp_path: Path) -> N
 
 WRONG_STARTS = [
     ([[0, 1]], "robot 0 starts at \\[0, 1\\], an obstacle"),
-    ([[0, 0], [2, 0]], "robot 1 starts at \\[2, 0\\], outside the map"),
-    ([[-1, 0]], "outside the map"),
-    ([[0.5, 0]], "whole numbers"),
-    ([], "shape"),
-    ([0, 0], "shape"),
-    (np.zeros((1025, 2), int), "at most 1024"),
-]
+    ([[0, 0], [2, 0]], "robot 1 starts at \\[2, 0\\], outside the map"), ([[-1, 0]], "outside the map"),
+    ([[0.5, 0]], "whole numbers"), ([], "shape"), ([0, 0], "shape"), (np.zeros((1025, 2), int), "at most 1024"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("starts", "said"), WRONG_STARTS)
@@ -248,16 +244,10 @@ def test_a_written_file_has_the_rights_of_any_new_one(tmp_path: Path) -> None:
 
 
 UNWRITABLE = [
-    ("x" * 300, "name too long"),
-    ("nul\0", "no file can have this name"),
-    ("folder", "is a folder"),
-    ("pipe", "no regular file"),
-    ("loop", "no file can have this name"),
-    ("gone/x.json", "folder does not exist"),
-    ("file/x.json", "Not a directory"),
-    ("/proc/x.json", "cannot be written"),
-    ("/dev/null", "no regular file"),
-]
+    ("x" * 300, "name too long"), ("nul\0", "no file can have this name"), ("folder", "is a folder"),
+    ("pipe", "no regular file"), ("loop", "no file can have this name"), ("gone/x.json", "folder does not exist"),
+    ("file/x.json", "Not a directory"), ("/proc/x.json", "cannot be written"), ("/dev/null", "no regular file"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "reason"), UNWRITABLE)
@@ -498,20 +488,14 @@ def test_a_wrong_value_is_named(folder: Path, keys: dict, names: str) -> None:
 
 
 MALFORMED = [
-    ("map: {file: a.map\ncell_size: 1\n", "line 2"),
-    ("map: a.map\n\tlevels: 3\n", "line 2"),
+    ("map: {file: a.map\ncell_size: 1\n", "line 2"), ("map: a.map\n\tlevels: 3\n", "line 2"),
     ("map: a.map\nlevels: 3\nlevels: 4\n", "line 3: key 'levels' twice"),
-    ("map: !!python/object/apply:os.system ['true']\n", "line 1"),
-    ("map: *nowhere\n", "line 1"),
-    ("map: a.map\n---\nmap: b.map\n", "line 2"),
-    ("", "the file is None"),
-    ("- a\n- b\n", "the file is ['a', 'b']"),
-    ("mop: a.map\n", "did you mean 'map' by 'mop'"),
-    ("levels: 4\n", "neither a scenario nor a ROS map"),
-    ("levels: " + "[" * 5000, "YAML"),
-    ("# " + "x" * 2**20, "bytes"),
+    ("map: !!python/object/apply:os.system ['true']\n", "line 1"), ("map: *nowhere\n", "line 1"),
+    ("map: a.map\n---\nmap: b.map\n", "line 2"), ("", "the file is None"), ("- a\n- b\n", "the file is ['a', 'b']"),
+    ("mop: a.map\n", "did you mean 'map' by 'mop'"), ("levels: 4\n", "neither a scenario nor a ROS map"),
+    ("levels: " + "[" * 5000, "YAML"), ("# " + "x" * 2**20, "bytes"),
     ("? [a, b]\n: 3\nmap: a.map\n", "line 1: found unhashable key"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("text", "names"), MALFORMED)
