@@ -80,6 +80,7 @@ class PlannerOptions(TypedDict, total=False):
     weibull_shape: float | None
     hazard_multiplier: float | Sequence[float] | None
     return_to: ReturnTo
+    wrecks: Literal["ignore", "block"] | None
     deliver_every: int | None
     recharge: int | None
     types: str | Sequence[str] | None
@@ -461,7 +462,8 @@ def record(
         how |= {name: options[name] for name in ("seed", "engine")} | {"first_only": _first_only(options)}
         how["scenario"] = scenario_text(of.source)
         how["step_seconds"] = of.with_pace(step_seconds).pace.seconds or 1.0
-        request = Request(chosen, picks, usual if rollouts is None else as_whole(rollouts), **how)
+        how["evaluated"] = usual if rollouts is None else as_whole(rollouts)
+        request = Request(ids=chosen, picks=picks, **how)
         state = None if state_at is None else state_of_rollout(of, given, request, state_at)
         done = record_rollouts(of, given, request, path, progress=tell, doing=doing)
         done.files = [done.path, layout_name(done.path)]
@@ -535,25 +537,30 @@ def export(
     plan: PlanSource,
     out: str | Path,
     *,
-    to: Literal["qgc", "nav2", "geojson", "kml", "gpx", "csv", "geotiff"] | None = None,
+    to: Literal["qgc", "nav2", "geojson", "kml", "gpx", "csv", "geotiff", "wpml", "cot", "nav2_route"] | None = None,
     altitude: float | None = None,
     speed: float | None = None,
+    terrain: str | Path | None = None,
+    battery: float | None = None,
     force: bool = False,
 ) -> list[Path]:
-    """The plan for ground stations, nav2 and GIS; returns the files.
+    """The plan for ground stations, DJI drones, TAK, nav2 and GIS; returns the files.
 
     Args:
         plan: as of `evaluate`. out: a file or a folder.
         to: Format (default: by the suffix of `out`).
-        altitude: qgc: metres above take-off, 0 for ground robots (default: 20).
+        altitude: qgc, wpml: metres above take-off, 0 for ground robots (default: 20).
         speed: metres a second (default: as the world says, or 3).
+        terrain: Raster of heights (.tif, .asc): altitudes are above this ground (qgc, wpml, csv).
+        battery: wpml: minutes of flight with one battery; longer paths become several files.
         force: replace existing files; without it an existing file is an InputError, and nothing is written.
     """
-    from analysis.exporting import choose_format, make_mission
+    from analysis.exporting import choose_format
     from analysis.exporting import export as write
 
-    form = choose_format(Path(out), to)
-    return write(make_mission(*plan_of(world, plan), altitude, speed), Path(out), form, force=force)
+    form, ground = choose_format(Path(out), to), None if terrain is None else Path(terrain)
+    done = write(*plan_of(world, plan), Path(out), form, altitude, speed, ground, battery, force=force)
+    return done[0]
 
 
 # Mission execution.

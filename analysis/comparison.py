@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,6 @@ from analysis.utils.tables import failure_text, make_table, span_text
 from planner.arguments import MOST_ROLLOUTS
 from planner.errors import UsageError
 from planner.formatting import UNPACED, Pace, counted, in_percent, percent, share
-from planner.json_objects import as_json
 from planner.plan.plan import Plan, is_certain
 from planner.rollouts.closed_loop import MOST_TABLED
 from planner.rollouts.engine import choose_engine, rollouts_per_call, run_ranges
@@ -235,10 +234,8 @@ class Comparison(Result):
 
     def exact_difference(self, figure: str) -> float | None:
         """B - A of expected "visited" or "survived" coverage, if both are known exactly."""
-        if self.a.exact is None or self.b.exact is None or figure not in FIGURES[:2]:
-            return None
-        at = FIGURES.index(figure)
-        return self.b.exact[at] * self.b.unit(figure) - self.a.exact[at] * self.a.unit(figure)
+        a, b = self.a.exact_shares, self.b.exact_shares
+        return b[figure] - a[figure] if a is not None and b is not None and figure in a else None
 
 
 def differing(a: Side, b: Side) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -424,7 +421,7 @@ def report(answer: Comparison) -> Report:
     certain = "no cell on the way of either is dangerous, so every run is the same and 1 rollout is enough"
     return Report(
         "compare", "compare", f"{' and '.join(names)}: which covers more?",
-        headline(answer), partial(as_json, answer), figures=_key_figures(answer),
+        headline(answer), answer, figures=_key_figures(answer),
         heading=(f"A: {_description(a)}", f"B: {_description(b)}", *[certain] * answer.certain,
                  f"{counted(answer.rollouts, 'rollout')} on common random numbers, seed {a.choices.seed}"),
         took=[f"{rate:,.0f} rollouts a second of both"], parts=[Section("Figures", [_table(answer)], [TABLE_NOTE])],
@@ -515,29 +512,24 @@ def _key_figures(answer: Comparison) -> list[KeyFigure]:
 
 
 def _table(answer: Comparison) -> Table:
-    known = {figure: answer.exact_difference(figure) for figure in FIGURES[:2]}
+    known = answer.exact_differences
     exactly = ["exact"] * any(value is not None for value in known.values())
     differ = zip("AB", answer.differing, strict=True)
     title = "; ".join(f"{name}: {', '.join(words)}" for name, words in differ if words)
     columns = ("", "A", "B", "B - A", "from", "to", *exactly, "gain")
-    table = make_table(columns, title or None, dropped=("gain",), padding=(0, 1, 0, 0))
+    rows = []
     for figure, name, scale in _coverages(answer):
         apart, exact = answer.difference(figure), known.get(figure)
-        table.add_row(
-            name,
-            *(_mean(answer, side, figure, scale) for side in answer.sides),
-            *(f"{scale * value:+.3f}" for value in (apart.estimate.mean, *apart.estimate.ci95)),
-            *("" if exact is None else f"{scale * exact:+.4f}" for _ in exactly),
-            f"{apart.gain:.2f}" if math.isfinite(apart.gain) else "",
-        )
-    return table
+        means = [_mean(answer, side, figure, scale) for side in answer.sides]
+        ends = [f"{scale * value:+.3f}" for value in (apart.estimate.mean, *apart.estimate.ci95)]
+        certain = ["" if exact is None else f"{scale * exact:+.4f}"] * len(exactly)
+        rows.append([name, *means, *ends, *certain, f"{apart.gain:.2f}" if math.isfinite(apart.gain) else ""])
+    return make_table(columns, title or None, rows, dropped=("gain",), padding=(0, 1, 0, 0))
 
 
 def _mean(answer: Comparison, side: Side, figure: str, scale: float) -> str:
     """A side's mean, exact if that is known."""
-    mean, known = answer.mean(side, figure), side.exact
-    if known is not None and figure in FIGURES[:2]:
-        mean = side.unit(figure) * known[FIGURES.index(figure)]
+    mean = (side.exact_shares or {}).get(figure, answer.mean(side, figure))
     if scale == 100:
         return in_percent(mean, 2)
     robots = len(side.plan.robots)

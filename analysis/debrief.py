@@ -20,7 +20,7 @@ from analysis.page.elements import CellLayer
 from analysis.report.model import CellMaps, KeyFigure, Report, Section
 from analysis.report.result import Result, map_text
 from analysis.theory.exact import open_loop_exact
-from analysis.tracks import Track, Walk, read_tracks, walk
+from analysis.tracks import Walk, read_tracks, walk
 from analysis.utils.tables import Column, json_text, table_of
 from planner.arguments import MAX_STEP, argument
 from planner.errors import InputError, UsageError
@@ -28,9 +28,10 @@ from planner.failure_model import FailureModel
 from planner.formatting import counted, in_percent, percent
 from planner.json_objects import as_json
 from planner.plan.plan import Plan
-from planner.plan.state import NAT, NO_CELLS, MissionState, RobotState
+from planner.plan.state import NAT, MissionState, RobotState
+from planner.plan.state_file import Track
 from planner.settings import Settings
-from planner.simulator.codes import NO_AREA, NO_CELL
+from planner.simulator.codes import NO_CELL
 from planner.world.world import MAX_ROBOTS, World
 
 LEVEL = 0.95
@@ -323,7 +324,7 @@ def make_debrief(world: World, path: Path, plan: Plan | None, settings: Settings
         # A robot without a track has not left its start.
         found = Walk(np.array([start]), np.zeros(1), 0, 0.0) if track is None else walk(track, world, step)
         hazard = _hazard(found, world.of_robots(model.types, len(known))[number], model, number, step)
-        is_lost = name in lost or (track is not None and track.lost)
+        is_lost = name in lost or (track is not None and track.status == "dead")
         begin = int(found.cells[0]) if plan is None else start
         flights.append(Flight(name, begin, *found[:2], is_lost, *found[2:], hazard))
     done = Debrief(world, plan, str(path), tuple(flights), None, None, _notes(flights, known, step))
@@ -393,10 +394,9 @@ def _state(done: Debrief, step: float | None) -> MissionState | None:
     # The duration of each robot by its own clock: clocks of robots need not agree.
     spans = [float(np.ptp(flight.times)) / step for flight in done.flights] if step is not None else moves
     robots = tuple(
-        RobotState(int(flight.cells[-1]), "dead" if flight.lost else "idle", NO_AREA, NO_CELLS, NO_CELLS, count, False,
-                   home=flight.start)
+        RobotState(int(flight.cells[-1]), "dead" if flight.lost else "idle", moves=count, home=flight.start)
         for flight, count in zip(done.flights, moves, strict=True)
-    )  # fmt: skip
+    )
     if done.visited.sum() == done.cells or done.lost == len(robots):
         return None
     survived = np.union1d(np.flatnonzero(done.survived), [robot.cell for robot in robots if robot.alive])
@@ -439,7 +439,7 @@ def report(done: Debrief) -> Report:
     if done.world.georeference is not None:
         saved["flown.geojson"] = partial(flown_geojson, done)
     return Report(
-        "debrief", "debrief", f"{done.world.name}: what was flown?", _headline(done), partial(as_json, done),
+        "debrief", "debrief", f"{done.world.name}: what was flown?", _headline(done), done,
         findings=_findings(done), figures=_key_figures(done),
         heading=[f"{map_text(done.world, done.cells, len(done.flights))}, tracks {done.tracks}"],
         picture=lambda: _map(done), parts=parts, notes=done.notes, pace=done.world.pace,
@@ -505,7 +505,7 @@ def _map(done: Debrief) -> CellMaps:
 
 def flown_geojson(done: Debrief) -> str:
     """A FeatureCollection of polygons: `kind` "flown", and "left" for each gap, with its cells, area and largest p."""
-    from analysis.exporting import polygons
+    from analysis.exporting.mission import polygons
 
     areas = [*connected(done.visited, done.world), *done.gaps]
     facts = [{"kind": "flown" if done.visited[cells[0]] else "left"} | as_json(done.row_of(number, cells))

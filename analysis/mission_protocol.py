@@ -190,9 +190,11 @@ class DrivenMission(Mission):
     """A mission with an outlook: compiled rollouts from the end of the last step."""
 
     def require_outlook(self) -> None:
-        """Raise UsageError if the mission is over, WorldError for hazards, uncertain maps and phases."""
+        """Raise UsageError if the mission is over, PlanError for wrecks, WorldError for an uncertain map or phases."""
         if self.outcome is not None:
             raise UsageError("the mission is over", expected="a mission under way")
+        if self.blocks:
+            replace(self.settings, wrecks="block").require_no_wrecks("the rest of a mission")
         self.given.require_certain_map("the rest of a mission")
 
     def outlook(self, rollouts: int | None = None, seconds: float | None = None, seed: int = 0) -> Outlook:

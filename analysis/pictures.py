@@ -186,12 +186,11 @@ def inches(figure: Figure, box: Sequence[float]) -> tuple[float, float, float, f
     return (box[0] / width, box[1] / height, box[2] / width, box[3] / height)
 
 
-def heading(axes: Axes, title: str, subtitle: str, left: float = 0.0) -> None:
-    """Two lines above `axes`, at its left side or `left` inches to the right of it; long ones are smaller."""
+def heading(axes: Axes, title: str, subtitle: str) -> None:
+    """Two lines above `axes`, at its left side; long ones are smaller."""
     large, small = 13.0 * min(1.0, 62 / len(title)), 9.5 * min(1.0, 98 / len(subtitle))
-    across = left * 72 / size_points(axes)[0]
-    axes.set_title(title, loc="left", x=across, fontsize=large, fontweight="bold", color=INK, pad=25)
-    axes.annotate(subtitle, (across, 1), (0, 9), "axes fraction", "offset points", fontsize=small, color=FAINT)
+    axes.set_title(title, loc="left", fontsize=large, fontweight="bold", color=INK, pad=25)
+    axes.annotate(subtitle, (0, 1), (0, 9), "axes fraction", "offset points", fontsize=small, color=FAINT)
 
 
 def map_axes(axes: Axes, shape: tuple[int, int], cell_size: float) -> None:
@@ -481,10 +480,7 @@ def ranges(numbers: list[int]) -> str:
 
 
 def group_labels(
-    cells: NDArray[np.int64],
-    shape: tuple[int, int],
-    points: float,
-    name_of: Callable[[list[int]], str] = robots_name,
+    cells: NDArray[np.int64], shape: tuple[int, int], points: float, name_of: Callable[[list[int]], str] = robots_name
 ) -> list[Label]:
     """Labels for `cells` `[M, 2]` that neither overlap nor leave a map of `shape`; `points`: the side of a cell.
 

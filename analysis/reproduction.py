@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial, reduce
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,11 +29,9 @@ from analysis.sweeps.engine import Done, Finished, Job, Swept, run_cases
 from analysis.sweeps.results import KEPT, figures_of, unit_of
 from analysis.sweeps.store import Run, Store
 from analysis.utils.notes import ProgressCallback
-from analysis.utils.tables import csv_text, make_table
+from analysis.utils.tables import Column, csv_text, table_of
 from planner.arguments import check_word
-from planner.files import Json
 from planner.formatting import counted, in_percent, percent
-from planner.json_objects import as_json
 from planner.tally import Tally, add_padded
 from planner.world.generate import Kind
 
@@ -48,6 +46,7 @@ FIGURE4 = {4: (0.8033, 311), 10: (0.9733, 244)}
 """Robots: coverage and steps of the single runs in Fig. 4; 241 and 292 of 300 cells, hence of all free cells."""
 
 
+Loop = Literal["open", "ideal", "closed", "first"]
 Key = tuple[str, str, str]
 """Quantity ("mean", "run", "square", "share", "controls": mean with control variates, "errors"), loop, figure. Loops:
 "closed", threats at every visit; "first", only at the first visit of a cell; "open", no reallocation, exact."""
@@ -72,11 +71,14 @@ class Point:
     columns: dict[Key, NDArray[np.float64]]
     runs: dict[str, NDArray[np.int64]]
     rollouts: int
+    json_keys = "kind robots ratio *estimates"
 
     @property
-    def means(self) -> list[tuple[str, str]]:
-        """The (loop, figure) pairs with a mean."""
-        return [(loop, figure) for what, loop, figure in self.columns if what == "mean"]
+    def estimates(self) -> dict[Loop, dict[str, Estimate]]:
+        """The means over maps by loop and figure."""
+        means = [(loop, figure) for what, loop, figure in self.columns if what == "mean"]
+        loops: tuple[Loop, ...] = get_args(Loop)
+        return {of: {figure: self.estimate(of, figure) for loop, figure in means if loop == of} for of in loops}
 
     def estimate(self, loop: str, figure: str) -> Estimate:
         """Mean over maps; its Student interval from the variance between maps includes the rollouts' noise."""
@@ -329,6 +331,12 @@ class Reproduction(Swept):
     rollouts: int
     seed: int
     finished: Finished
+    json_keys = "answer=headline maps rollouts seed figures=points_by_figure statements=findings"
+
+    @property
+    def points_by_figure(self) -> dict[str, list[Point]]:
+        """The points of each figure."""
+        return {figure: self.of(figure) for figure in self.figures}
 
     def of(self, figure: str) -> list[Point]:
         """The points of a figure."""
@@ -475,7 +483,7 @@ def report(answer: Reproduction) -> Report:
     charts = {figure: [_chart(answer, figure, what) for what in CURVES] for figure in answer.figures}
     return Report(
         "reproduction", "reproduce", "The paper's experiments, reproduced", said,
-        lambda: {"answer": said} | reproduction_json(answer),
+        answer,
         heading=[
             f"{counted(answer.maps, 'map')} a point, {counted(answer.rollouts, 'rollout')} a map and loop, "
             f"first seed {answer.seed}"
@@ -505,10 +513,15 @@ def _chart(answer: Reproduction, figure: str, what: str) -> Chart:
     if figure == "fig4":
         return _runs(answer.of(figure), what)
     scale, unit, limits = (100.0, "%", (0.0, 100.0)) if what == "coverage" else (1.0, "", None)
-    series = [_series(answer.of(figure), figure, curve, scale) for curve in CURVES[what]]
+    points = answer.of(figure)
+    at = [_at(figure, point) for point in points]
+    series = [
+        Series.of(name, at, [point.estimate(loop, of) for point in points], scale, dashed=name.startswith("..."))
+        for loop, of, name in CURVES[what]
+    ]
     if what == "coverage" and figure in STATED:
-        at, stated = zip(*STATED[figure], strict=True)
-        series.append(Series("stated in the paper", at, [100 * value for value in stated], kind="points"))
+        teams, stated = zip(*STATED[figure], strict=True)
+        series.append(Series("stated in the paper", teams, [100 * value for value in stated], kind="points"))
     axis = "threats, % of the cells" if figure == "fig7" else "robots"
     words = "steps" if what == "time" else "covered"
     return Chart(f"{TITLES[figure]}: {what}", tuple(series), axis, words, unit=unit, y_range=limits)
@@ -526,13 +539,6 @@ def _runs(points: list[Point], what: str) -> Chart:
     return Chart(f"{TITLES['fig4']}: {what}", tuple(series), axis, "runs, %", unit="%", at_x=tuple(marks))
 
 
-def _series(points: list[Point], figure: str, curve: tuple[str, str, str], scale: float) -> Series:
-    loop, what, name = curve
-    estimates = [point.estimate(loop, what) for point in points]
-    at = [_at(figure, point) for point in points]
-    return Series.of(name, at, estimates, scale, dashed=name.startswith("..."))
-
-
 def headline(answer: Reproduction) -> str:
     """The number of reproduced statements."""
     found = answer.findings
@@ -542,50 +548,43 @@ def headline(answer: Reproduction) -> str:
 
 
 def _statements(found: list[Finding]) -> Table:
-    columns = ("figure", "statement", "here", "deviation", "")
-    left = tuple(name for name in columns if name != "deviation")
-    table = make_table(columns, "Statements of the paper", left=left, padding=(0, 1, 0, 0))
-    for one in found:
-        table.add_row(one.figure, one.statement, one.found, f"{one.deviation:+.1f}", str(one.verdict))
-    return table
+    columns = (
+        Column("figure", lambda one: one.figure, words=True),
+        Column("statement", lambda one: one.statement, words=True),
+        Column("here", lambda one: one.found, words=True),
+        Column("deviation", lambda one: f"{one.deviation:+.1f}"),
+        Column("", lambda one: one.verdict, words=True),
+    )
+    return table_of(columns, found, "Statements of the paper", padding=(0, 1, 0, 0))
 
 
 def _report_points(figure: str, points: list[Point]) -> Table:
-    columns = ("threats, %" if figure == "fig7" else "robots", *(name for name, *_ in TABLE), "se")
-    table = make_table(columns, TITLES[figure], padding=(0, 1, 0, 0))
-    for point in points:
-        estimates = [(scale, point.estimate(loop, name)) for _, loop, name, scale in TABLE]
-        largest = [max(s * e.se for s, e in estimates if (s == 1) == steps) for steps in (False, True)]
-        shown = (f"{scale * estimate.mean:.1f}" for scale, estimate in estimates)
-        table.add_row(f"{_at(figure, point):g}", *shown, " / ".join(f"{se:.1f}" for se in largest))
-    return table
+
+    def mean(title: str, loop: str, name: str, scale: float) -> Column:
+        return Column(title, lambda point: f"{scale * point.estimate(loop, name).mean:.1f}")
+
+    def largest(point: Point, unit: float) -> str:
+        """The largest standard error of the figures with a scale."""
+        return f"{max(scale * point.estimate(loop, name).se for _, loop, name, scale in TABLE if scale == unit):.1f}"
+
+    columns = (
+        Column("threats, %" if figure == "fig7" else "robots", lambda point: f"{_at(figure, point):g}"),
+        *itertools.starmap(mean, TABLE),
+        Column("se", lambda point: f"{largest(point, 100)} / {largest(point, 1)}"),
+    )  # fmt: skip
+    return table_of(columns, points, TITLES[figure], padding=(0, 1, 0, 0))
 
 
 def _at(figure: str, point: Point) -> float:
     return 100 * point.ratio if figure == "fig7" else point.robots
 
 
-def reproduction_json(answer: Reproduction) -> Json:
-    """The JSON object of `reproduce` without its summary; coverage is a fraction."""
-    figures = {name: [_point_json(point) for point in answer.of(name)] for name in answer.figures}
-    asked = {name: getattr(answer, name) for name in ("maps", "rollouts", "seed")}
-    return {**asked, "figures": figures, "statements": answer.findings, **answer.finished.to_json(), **as_json(answer)}
-
-
-def _point_json(point: Point) -> Json:
-    out: Json = {"kind": point.kind, "robots": point.robots, "ratio": point.ratio}
-    for loop, figure in point.means:
-        out.setdefault(loop, {})[figure] = point.estimate(loop, figure)
-    return out
-
-
 def _csv(answer: Reproduction) -> str:
     """Mean, standard error and interval of every figure at every point."""
-    names, rows = ("kind", "robots", "ratio", "loop", "figure", "maps", "rollouts", "mean", "se", "low", "high"), []
-    for point in answer.points.values():
-        for loop, figure in point.means:
-            estimate = point.estimate(loop, figure)
-            values = (f"{value:.9g}" for value in (estimate.mean, estimate.se, *estimate.ci95))
-            where = (point.kind, point.robots, point.ratio, loop, figure, answer.maps, point.rollouts)
-            rows.append((*where, *values))
+    names = ("kind", "robots", "ratio", "loop", "figure", "maps", "rollouts", "mean", "se", "low", "high")
+    rows = (
+        (point.kind, point.robots, point.ratio, loop, figure, answer.maps, point.rollouts,
+         *(f"{value:.9g}" for value in (one.mean, one.se, *one.ci95)))
+        for point in answer.points.values() for loop, found in point.estimates.items() for figure, one in found.items()
+    )  # fmt: skip
     return csv_text(names, rows)

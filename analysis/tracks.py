@@ -5,46 +5,26 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable
-from datetime import UTC, datetime
 from math import isfinite
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
-from mcap.reader import NonSeekingReader
 from numpy.typing import NDArray
 
 from planner.errors import MapError
-from planner.files import check_size, library_errors, read_json
-from planner.mcap import damage_reported, mapped
-from planner.plan.state_file import TIMES
+from planner.files import check_size, damage_reported, library_errors, read_json
+from planner.plan.state_file import TRACK_STATUS, Track, metres, moment, tracks_of
 from planner.simulator.codes import Doing
 from planner.world.frame import WGS84
-from planner.world.map_files import MAX_BYTES as MOST_LOGGED
-from planner.world.map_files import is_bag, log_files
-from planner.world.points import LATITUDE, LONGITUDE, Table, X, Y, check_range, on_map, read_table
+from planner.world.map_files import is_bag, log_files, log_messages
+from planner.world.points import read_table
 from planner.world.world import World
 
 MOST_BYTES = 2**26
 """Largest file of tracks, logs apart."""
 IN_TIME = "a time for each place, in seconds, ISO 8601 or steps"
-
-
-class Track(NamedTuple):
-    """The places of a robot in order of time; a reader may give several of one robot, and other coordinates.
-
-    Attributes:
-        name: of the robot. times: float64 `[n]`, seconds, or steps; of a reader numbers or texts, or None.
-        points: float64 `[n, 2]`, (x, y), metres, map frame; of a reader in the CRS `crs`, x or longitude first.
-        crs: of the points; "": metres of the map frame. lost: whether the file says that the robot is lost.
-    """
-
-    name: str
-    times: Any
-    points: NDArray[np.float64]
-    crs: str = ""
-    lost: bool = False
 
 
 def read_tracks(path: Path, world: World) -> tuple[tuple[Track, ...], bool]:
@@ -75,11 +55,12 @@ def _track(name: str, parts: list[Track], world: World, path: Path) -> Track:
             fix = "debrief needs their order and gaps; without times, plan the rest with `plan --state`"
             raise MapError(f"robot {name[:40]} has no times", source=path, expected=IN_TIME, fix=fix)
         times += [_seconds(one, name, path) for one in part.times]
-        places.append(_metres(part, world, path))
+        places.append(metres(part.points, part.crs, world, path))
     if not np.isfinite(np.concatenate(places)).all():
         raise MapError(f"robot {name[:40]}: a place is no number", source=path, expected="two finite coordinates")
     order = np.argsort(times, kind="stable")
-    return Track(name, np.array(times)[order], np.concatenate(places)[order], "", any(part.lost for part in parts))
+    status = "dead" if any(part.status == "dead" for part in parts) else "idle"
+    return Track(name, np.array(times)[order], np.concatenate(places)[order], "", status)
 
 
 def _seconds(given: object, name: str, path: Path) -> float:
@@ -88,8 +69,7 @@ def _seconds(given: object, name: str, path: Path) -> float:
         if not isinstance(given, str) or re.fullmatch(r"\s*[-+\d.eE]+\s*", given):
             value = float(given)  # type: ignore[arg-type]
         else:
-            moment = datetime.fromisoformat(given.strip())
-            value = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+            value = moment(given)
     except (TypeError, ValueError, OverflowError):
         value = np.nan
     if not isfinite(value):
@@ -97,64 +77,14 @@ def _seconds(given: object, name: str, path: Path) -> float:
     return value
 
 
-def _metres(part: Track, world: World, path: Path) -> NDArray[np.float64]:
-    """The points in metres of the map frame. Raises MapError where their CRS and the map's do not meet."""
-    if not part.crs:
-        return part.points
-    if world.georeference is None:
-        fix = "give columns x and y in metres, or a map with a `datum`"
-        raise MapError(f"its places are in {part.crs}, and the map has no georeference", source=path, fix=fix)
-    if part.crs == WGS84:
-        check_range(part.points, "", path)
-        return on_map(part.points, world.frame, world.georeference, path)
-    try:
-        return world.georeference.from_crs(part.points, part.crs)
-    except MapError as error:
-        raise MapError(error.problem, source=path, expected=error.expected, fix=error.fix) from error
-
-
 # Readers: whether times are steps, and the parts of tracks.
 
 Found = tuple[bool, list[Track]]
-LOST = {"": False, "idle": False, "done": False, "dead": True, "lost": True}
-"""Words of a column `status`, and whether the robot is lost."""
 
 
 def _csv(path: Path, world: World) -> Found:
-    """Lines with `robot`, `step` or a time, and row, col, or x, y, or lon, lat; the last `status` of a robot counts."""
     table = read_table(path, "lines robot, time, x, y")
-    which, step = table.column("robot"), table.column("step")
-    clock, status = table.column("step", *TIMES), table.column("status")
-    if which is None:
-        problem = f"has the columns {', '.join(table.names)[:80]}" if table.names else "has no header"
-        raise MapError(problem, source=path, expected="robot, a time or step, and row, col or x, y or lon, lat")
-    points, crs = _places(table, world)
-    rows: dict[str, list[int]] = {}
-    for number, (_, row) in enumerate(table.rows):
-        rows.setdefault(row[which].strip(), []).append(number)
-    parts = []
-    for name, held in rows.items():
-        line, last = table.rows[held[-1]]
-        word = "" if status is None else last[status].strip().lower()
-        if word not in LOST:
-            raise MapError(f"line {line}: status {word[:40]!r}", source=path, expected="idle, done, dead or lost")
-        times = None if clock is None else [table.rows[number][1][clock].replace(",", ".") for number in held]
-        parts.append(Track(name, times, points[held], crs, LOST[word]))
-    return step is not None, parts
-
-
-def _places(table: Table, world: World) -> tuple[NDArray[np.float64], str]:
-    """The places of the lines, and their CRS."""
-    cells, metres, degrees = (
-        [table.column(*names) for names in of] for of in ((("row",), ("col", "column")), (X, Y), (LONGITUDE, LATITUDE))
-    )
-    for found, read in ((cells, table.places), (metres, table.places), (degrees, table.lonlat)):
-        columns = [column for column in found if column is not None]
-        if len(columns) == 2:
-            points = read(columns)
-            return (world.at(*(points + 0.5).T), "") if found is cells else (points, WGS84 * (found is degrees))
-    expected = "row and col, x and y in metres, or lon and lat"
-    raise MapError(f"has the columns {', '.join(table.names)[:80]}", source=table.path, expected=expected)
+    return table.column("step") is not None, tracks_of(table, world)
 
 
 def _gpx(path: Path, world: World) -> Found:
@@ -192,9 +122,9 @@ def _geojson(path: Path, world: World) -> Found:
                 problem = f"features[{number}]: {len(times)} times for {len(points)} places"
                 raise MapError(problem, source=path, expected="a time for each place")
             name = str(facts.get("robot", facts.get("name", number)))
-            lost = LOST.get(str(facts.get("status", "")).lower(), False)
+            status = TRACK_STATUS.get(str(facts.get("status", "")).lower(), "idle")
             places = np.array([point[:2] for point in points], dtype=np.float64).reshape(-1, 2)
-            parts.append(Track(name, times, places, crs, lost))
+            parts.append(Track(name, times, places, crs, status))
     return False, parts
 
 
@@ -206,14 +136,13 @@ def _log(path: Path, world: World) -> Found:
     held: dict[str, list[tuple[float, float, float]]] = {}
     crs: dict[str, str] = {}
     for file in files:
-        check_size(file, MOST_LOGGED, MapError, "a log", "cut the poses' topics out")
-        reader = NonSeekingReader(mapped(file, MapError), validate_crcs=True)
+        # What is read of a message may be damaged too.
         with damage_reported(file, MapError):
-            for schema, channel, message in reader.iter_messages(log_time_order=False):
+            for kind, channel, message in log_messages(file, "cut the poses' topics out"):
                 if channel.topic == "/rollout/start":
                     break
-                if schema is not None and schema.name in POSES:
-                    crs[channel.topic], decode = POSES[schema.name]
+                if kind in POSES:
+                    crs[channel.topic], decode = POSES[kind]
                     held.setdefault(channel.topic, []).append((message.log_time / 1e9, *decode(message.data)))
             else:
                 continue
@@ -223,8 +152,8 @@ def _log(path: Path, world: World) -> Found:
             raise MapError(problem, source=path, expected="one rollout on this map, as `record --ids 5` writes it")
         trace = recorded[0][0].trace
         times, places = np.arange(len(trace.cells)).tolist(), world.to_xy(trace.cells)
-        dead = trace.doing[-1] == Doing.DEAD
-        return True, [Track(str(one), times, places[:, one], "", bool(dead[one])) for one in range(len(dead))]
+        status = np.where(trace.doing[-1] == Doing.DEAD, "dead", "idle").tolist()
+        return True, [Track(str(one), times, places[:, one], "", word) for one, word in enumerate(status)]
     rows = {topic: np.array(found, dtype=np.float64) for topic, found in held.items()}
     return False, [Track(topic, of[:, 0].tolist(), of[:, 1:], crs[topic]) for topic, of in rows.items()]
 

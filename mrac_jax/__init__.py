@@ -16,7 +16,7 @@ from pathlib import Path
 from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
-from mrac_jax import forks as forks  # which has to be there before a fork
+from mrac_jax import process as process  # which has to be there before a fork
 
 if TYPE_CHECKING:
     from analysis import plots

@@ -17,9 +17,11 @@ import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum, StrEnum
+from fractions import Fraction
 from functools import cache, cached_property, reduce
 from inspect import getdoc
 from math import isfinite
+from pathlib import Path, PurePath
 from types import NoneType, UnionType
 from typing import Any, Literal, NamedTuple, Union, get_args, get_origin
 
@@ -67,8 +69,10 @@ def as_json(value: Any) -> Any:
         return as_json(value.to_json())
     if keys := keys_of(value.__class__):
         return _object(value, keys)
-    if isinstance(value, StrEnum):
+    if isinstance(value, StrEnum | PurePath):
         return str(value)
+    if isinstance(value, Fraction):
+        return float(value)
     # JSON has neither NaN nor infinity.
     return None if isinstance(value, float) and not isfinite(value) else value
 
@@ -92,7 +96,9 @@ def _object(value: Any, keys: tuple[Key, ...]) -> Json:
 
 
 class WithKeys:
-    """An object with the keys that its class declares in `json_keys`."""
+    """An object with the keys that its class declares in `json_keys`; a dataclass without them has its fields."""
+
+    json_keys = ""
 
     def to_json(self) -> Json:
         """The JSON object of these keys."""
@@ -103,6 +109,7 @@ class WithKeys:
 # The JSON Schema of a class: types from annotations, descriptions from docstrings.
 
 TYPES: dict[Any, str] = {int: "integer", float: "number", bool: "boolean", str: "string", NoneType: "null"}
+TYPES |= {Path: "string", Fraction: "number"}
 
 
 class Schema:
@@ -123,7 +130,7 @@ class Schema:
             # JSON has no NaN: a number that is not known is null.
             return {"type": [TYPES[hint], "null"] if hint is float else TYPES[hint]}
         if isinstance(origin, type) and issubclass(origin, Mapping):
-            return {"type": "object", "additionalProperties": self.of(inner[1])}
+            return {"type": "object", "additionalProperties": self.of(inner[1] if inner[1:] else int)}
         if origin in (list, tuple):
             return {"type": "array", "items": self.of(inner[0])}
         if origin is np.ndarray or hint is np.ndarray:
@@ -135,7 +142,7 @@ class Schema:
         ):
             self.add(hint)
             return {"$ref": f"#/$defs/{name_of(hint)}"}
-        return {}
+        return self.of(_hint(hint, "to_json")) if hasattr(hint, "to_json") else {}
 
     def add(self, cls: type) -> None:
         """Add the definition of a class with keys."""
@@ -151,10 +158,10 @@ class Schema:
         for name, path, optional in keys_of(cls):
             hint, about = self.attribute(cls, path)
             if name.startswith("*"):
-                if get_origin(hint) is dict and issubclass(of := get_args(hint)[0], Enum):
-                    properties |= {str(one.value): self.of(get_args(hint)[1]) for one in of}
+                if get_origin(hint) is dict and (names := self.of(get_args(hint)[0]).get("enum")):
+                    properties |= {str(name): self.of(get_args(hint)[1]) for name in names}
                     continue
-                inner = self.keys(hint)
+                inner = self.keys(get_args(hint)[0] if isinstance(hint, UnionType) else hint)
                 properties |= inner["properties"]
                 required += inner["required"]
                 continue
@@ -191,7 +198,7 @@ def _hint(cls: type, name: str) -> Any:
     """The annotation of an attribute or of a property's function; Any if it names a type that is not imported."""
     for base in cls.__mro__:
         held = vars(base).get(name)
-        made = held.fget if isinstance(held, property) else held.func if isinstance(held, cached_property) else None
+        made = held.fget if isinstance(held, property) else getattr(held, "func", held if callable(held) else None)
         text = vars(base).get("__annotations__", {}).get(name) if made is None else made.__annotations__.get("return")
         if text is not None:
             try:

@@ -41,7 +41,7 @@ POLICY = ("policy", "risk_cap", "robot_value", "priority")
 """A policy and its limits."""
 BEARING = ("weibull_shape", "hazard_multiplier")
 """Settings of the failure model. No decision depends on them."""
-KEPT = ("range", "deadline", "return_to", "deliver_every", "recharge", "steps_per_move", "radio")
+KEPT = ("range", "deadline", "return_to", "deliver_every", "wrecks", "recharge", "steps_per_move", "radio")
 """Limits of the robots under every policy."""
 GROUPS = {"policy": POLICY, "plan_for": ("plan_for", "effort")}
 """Settings with dependent ones: a new choice of the first discards the input's values of the others."""
@@ -168,6 +168,7 @@ class Settings:
         hazard_multiplier: factor of the exposure, one number for all or one a robot. No decision depends on these two.
         return_to: bases that robots return to (SPEC section 19): "home", their own starts; "nearest", the nearest
             start; or cells, a tuple of (row, col); None = robots stay at their last cell.
+        wrecks: "block": lost robots are obstacles for the others (SPEC section 15); "ignore": they are not.
         deliver_every: cells carried with which a robot returns to a base and goes on; None = only at the end.
         recharge: steps at a base that restore the range of a robot; None = never restored.
         types: robot types (SPEC section 22), one for all or one a robot, named in the world's matrix; None = the map's
@@ -246,6 +247,10 @@ class Settings:
         None, "return to", 'Return to: home (the own start), nearest (any start) or bases "row,col;row,col;...".',
         words=("home", "nearest"), unset="nowhere", places=True, later=True, rare=False,
     )  # fmt: skip
+    wrecks: str = _setting(
+        "ignore", "wrecks", "Lost robots block their cells for the others: block, or ignore (default).",
+        words=("ignore", "block"), later=True,
+    )  # fmt: skip
     deliver_every: int | None = _setting(
         None, "deliver every", "Return to the base, and go on, with this many cells to deliver (default: never).",
         whole(1, MAX_STEP), unset="never", later=True,
@@ -313,6 +318,16 @@ class Settings:
         """Raise PlanError, naming `source`, for per-robot settings of another number of robots."""
         for name in (name for name, setting in SETTINGS.items() if setting.each and not setting.found):
             check_each(name, getattr(self, name), robots, source)
+
+    @property
+    def blocks(self) -> bool:
+        """Whether lost robots become obstacles."""
+        return self.wrecks == "block"
+
+    def require_no_wrecks(self, what: str) -> None:
+        """Raise PlanError for lost robots that become obstacles, which `what` does not support."""
+        if self.blocks:
+            raise PlanError(f"{what} with {argument('wrecks', 'block')}", fix=f"leave {argument('wrecks')} out")
 
     @property
     def paces(self) -> tuple[int, ...]:

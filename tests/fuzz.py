@@ -69,7 +69,7 @@ VALID = {
     "--plan-out": "new.json", "--scenario-out": "new.yaml", "--plot": "new.png", "--csv": "new.csv",
     "--parquet": "new.parquet", "--merge": "kept.store", "--where": "robots=1", "--by": "robots", "--to": "kml",
     "--levels": "4", "--seconds": "2", "--size": "6x7", "--exact": "never", "--threat-scale": "0.5,2",
-    "--sensor-range": "1", "--tracks": "tracks.csv", "--lost": "0",
+    "--sensor-range": "1", "--tracks": "tracks.csv", "--lost": "0", "--terrain": "dose.tif", "--battery": "20",
     "--risk-caps": "0,0.5", "--robot-values": "1,2", "--pick": "best", "--density": "0.5", "--risk-cap": "0.2",
     "--p": "0.1",
     "--target": "0.5", "--confidence": "0.9", "--weibull-shape": "1.5", "--gain": "0.5", "--precision": "0.2",

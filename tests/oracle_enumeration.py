@@ -192,8 +192,9 @@ class Row:
     """One run. `p[i][c]`: what stops robot i in cell c; `turn[i]`: steps a move; `radio`: how far robots hear."""
 
     def __init__(
-        self, p: list[list[float]], starts: list[int], turn: list[int], radio: float, stops: list[bool]
+        self, p: list[list[float]], starts: list[int], turn: list[int], radio: float, wrecks: bool, stops: list[bool]
     ) -> None:
+        self.wrecks, self.blocked = wrecks, set[int]()
         self.p, self.turn, self.radio, self.stops, self.bases = p, turn, radio, stops, starts
         self.chance, self.asked, self.size = 1.0, 0, len(p[0])
         scale = sorted({x for row in p for x in row if x > 0})
@@ -204,16 +205,9 @@ class Row:
         values = [0.0, *scale]
         share = [sum(tuple(mine) == kind for mine in self.own) / len(p) for kind in kinds]
         mixes.sort(key=lambda mix: sum(of * values[level] for of, level in zip(share, mix, strict=True)))
-        of_cell = [mixes.index(tuple(kind[c] for kind in kinds)) for c in range(self.size)]
-        self.areas: list[Area] = []
-        for level in range(len(mixes)):
-            for c in range(self.size):
-                if of_cell[c] != level:
-                    continue
-                if c > 0 and of_cell[c - 1] == level:
-                    self.areas[-1].cells.append(c)
-                else:
-                    self.areas.append(Area(level, [c]))
+        self.of_cell = of_cell = [mixes.index(tuple(kind[c] for kind in kinds)) for c in range(self.size)]
+        runs = self.runs(list(range(self.size)))
+        self.areas = [Area(level, run) for level in range(len(mixes)) for run in runs if of_cell[run[0]] == level]
         self.mixes, self.kind = mixes, [kinds.index(tuple(mine)) for mine in self.own]
         self.robots = [Robot(cell) for cell in starts]
         self.visited: set[int] = set()
@@ -223,13 +217,25 @@ class Row:
             if free:
                 self.give(i, min(free, key=lambda n: (self.way(i, self.areas[n].cells)[0], n)))
 
+    def runs(self, cells: list[int]) -> list[list[int]]:
+        """The cells, increasing, as neighbours of one level."""
+        found: list[list[int]] = []
+        for c in cells:
+            if found and found[-1][-1] == c - 1 and self.of_cell[c] == self.of_cell[c - 1]:
+                found[-1].append(c)
+            else:
+                found.append([c])
+        return found
+
     def to(self, i: int, cell: int) -> list[int]:
         here = self.robots[i].cell
         return list(range(here + 1, cell + 1)) if cell > here else list(range(here - 1, cell - 1, -1))
 
     def way(self, i: int, cells: list[int]) -> tuple[int, int]:
-        """(cost, cell) of the cheapest cell."""
-        return min((sum(self.cost[i][c] for c in self.to(i, cell)), cell) for cell in cells)
+        """(cost, cell) of the cheapest cell that no wreck cuts off."""
+        ways = ((self.to(i, cell), cell) for cell in cells)
+        costs = ((sum(self.cost[i][c] for c in way), cell) for way, cell in ways if not self.blocked & {*way})
+        return min(costs, default=(inf, NOBODY))  # type: ignore[return-value]
 
     def level(self, i: int, n: int) -> int:
         return self.mixes[self.areas[n].level][self.kind[i]]
@@ -264,13 +270,7 @@ class Row:
 
     def split(self, n: int) -> list[int]:
         """The parts of what is left of an area, as new areas; it is done."""
-        parts: list[list[int]] = []
-        for c in self.left(n):
-            if parts and parts[-1][-1] == c - 1:
-                parts[-1].append(c)
-            else:
-                parts.append([c])
-        area = self.areas[n]
+        parts, area = self.runs(self.left(n)), self.areas[n]
         area.cells, area.done, area.owner = [c for c in area.cells if c in self.visited], True, NOBODY
         first = len(self.areas)
         self.areas += [Area(area.level, part) for part in parts]
@@ -280,6 +280,7 @@ class Row:
         if not self.heard(i):
             return False
         free = [n for n, area in enumerate(self.areas) if area.owner == NOBODY and not area.done]
+        free = [n for n in free if self.way(i, self.areas[n].cells)[0] < inf]
         if free:
             self.give(i, min(free, key=lambda n: (self.level(i, n), self.way(i, self.areas[n].cells)[0], n)))
             return True
@@ -291,7 +292,7 @@ class Row:
             if j == i or other.doing not in ("travel", "cover") or not self.heard(j):
                 continue
             left, (cost, cell) = len(self.left(other.area)), self.way(i, self.areas[other.area].cells)
-            if left >= 2 and len(self.to(i, cell)) * self.turn[i] <= left * self.turn[j]:
+            if cost < inf and left >= 2 and len(self.to(i, cell)) * self.turn[i] <= left * self.turn[j]:
                 found.append((self.level(i, other.area), cost, other.area, j))
         if not found:
             return False
@@ -349,6 +350,50 @@ class Row:
         self.survived.add(cell)
         self.after_move(i)
 
+    def block(self) -> bool:
+        """Where a lost robot is and no other one, the row has an obstacle; whether the map has changed (section 15)."""
+        live = [me for me in self.robots if me.doing != "dead"]
+        new = {me.cell for me in self.robots if me.doing == "dead"} - {me.cell for me in live} - self.blocked
+        self.blocked |= new
+        if not new or not live:
+            return False
+
+        def part(cell: int) -> int:
+            return sum(wreck < cell for wreck in self.blocked)
+
+        def kept(cells: list[int]) -> list[list[int]]:
+            return self.runs([c for c in cells if c not in self.blocked | self.visited and part(c) in near])
+
+        near = {part(me.cell) for me in live}
+        for area in [area for area in self.areas if not area.done]:
+            if area.owner != NOBODY:
+                here = part(self.robots[area.owner].cell)
+                area.cells = [c for c in area.cells if c not in new and part(c) == here]
+            elif new & {*area.cells} or len({part(c) for c in area.cells}) > 1 or part(area.cells[0]) not in near:
+                area.cells, *more = kept(area.cells) or [[]]
+                area.done = not area.cells
+                self.areas += [Area(area.level, cells) for cells in more]
+        held = {c for area in self.areas if not area.done for c in area.cells}
+        for cells in kept([c for c in range(self.size) if c not in held]):
+            sides = {cells[0] - 1, cells[-1] + 1}
+            free = [area for area in self.areas if not area.done and area.owner == NOBODY]
+            touched = [area for area in free if area.level == self.of_cell[cells[0]] and sides & {*area.cells}]
+            for area in touched[1:]:
+                area.done = True
+            if touched:
+                touched[0].cells = sorted(sum((area.cells for area in touched), cells))
+            else:
+                self.areas.append(Area(self.of_cell[cells[0]], cells))
+        for i, me in enumerate(self.robots):
+            if me.doing not in ("travel", "cover"):
+                continue
+            if me.doing == "cover" or not self.left(me.area):
+                me.doing, me.path = "travel", []
+            elif self.blocked & {*me.path}:
+                me.path = self.to(i, self.way(i, self.areas[me.area].cells)[1])
+            self.after_move(i)
+        return True
+
     def run(self) -> tuple[float, str, int, int, int, int]:
         """(chance, outcome, visited, survived, steps, alive)."""
         step = quiet = 0
@@ -370,6 +415,7 @@ class Row:
                 else:
                     self.enter(i, me.path.pop(0))
                     moved = True
+            moved |= self.wrecks and self.block()
             quiet = 0 if moved else quiet + 1
             alive = sum(me.doing != "dead" for me in self.robots)
             end = "complete" if len(self.visited) == self.size else "all_robots_lost" if alive == 0 else ""
@@ -381,7 +427,7 @@ class Row:
 
 
 def everything(
-    p: list[list[float]], starts: list[int], turn: list[int] | None = None, radio: float = inf
+    p: list[list[float]], starts: list[int], turn: list[int] | None = None, radio: float = inf, wrecks: bool = False
 ) -> dict[str, Counter[int | str]]:
     """The chance of each outcome, number of cells visited and survived, of steps, and of robots alive."""
     found: dict[str, Counter[int | str]] = {
@@ -391,7 +437,7 @@ def everything(
     while due:
         stops = due.pop()
         try:
-            chance, *what = Row(p, starts, turn or [1] * len(starts), radio, stops).run()
+            chance, *what = Row(p, starts, turn or [1] * len(starts), radio, wrecks, stops).run()
         except Script:
             due += [[*stops, False], [*stops, True]]
             continue

@@ -16,8 +16,7 @@ from page_reader import refused
 import analysis.checking.check
 import analysis.theory.upper_bound
 import mrac_jax as mrac
-from analysis.checking.check import Survey, check_input, make_survey, run_survey
-from analysis.checking.pictures import PANELS
+from analysis.checking.check import PANELS, Survey, check_input, make_survey, run_survey
 from analysis.checking.report import check_report, figure
 from analysis.cli.app import run
 from analysis.estimators.trial import closed_truth

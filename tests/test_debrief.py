@@ -273,7 +273,7 @@ LINE = '{"type":"FeatureCollection","features":[{"properties":%s,"geometry":{"ty
 REFUSED = [
     ("t.csv", f"robot,x,y\n0,{HERE}\n", "", "robot 0 has no times; expected a time for each place"),
     ("t.csv", f"time,x,y\n0,{HERE}\n", "", "has the columns time, x, y; expected robot, a time or step"),
-    ("t.csv", f"{HEAD}0,noon,{HERE}\n", "", "a time is 'noon'"),
+    ("t.csv", f"{HEAD}0,noon,{HERE}\n", "", "line 2: time is 'noon'"),
     ("t.csv", f"{HEAD}0,0,1,1\n", "", "no place of robot 0 is on a free cell"),
     ("t.csv", f"{HEAD}5,0,{HERE}\n", "--plan p.json", "robot 5 is none of the plan's 2; expected robots 0 to 1"),
     ("t.csv", f"{HEAD}0,0,{HERE}\n", "--lost 3", "--lost 3; expected robots of t.csv: 0"),

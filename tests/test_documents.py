@@ -268,13 +268,15 @@ def strict(node: Any) -> Any:
     return out | ({"unevaluatedProperties": False} if {"$ref", "properties"} & set(node) else {})
 
 
-def test_json_objects_follow_the_schema() -> None:
+def test_json_objects_follow_the_schema(tmp_path: Path) -> None:
     """Every result has the types of the schema in the package, and no key that it lacks."""
     written = json.loads(FILE.read_text(encoding="utf-8"))
     assert written == json.loads(json.dumps(schema())), "run `python -m analysis.report.schema`"
-    world, few = mrac.load(np.pad(np.full((3, 3), 0.05), 1)), {"rollouts": 64}
-    found = {
-        "evaluate": mrac.evaluate(world, 2, deadline=9, threat_scale=[0.5, 1], turn=1, **few),
+    world, few, log = mrac.load(np.pad(np.full((3, 3), 0.05), 1)), {"rollouts": 64}, tmp_path / "r.mcap"
+    (tmp_path / "s.yaml").write_text("base: {size: 6x6}\nmaps: 2\nrollouts: 8\nsweep: {robots: [1, 2]}")
+    more = {"deadline": 9, "marginal_risk": True, "turn": 1, "threat_scale": [0.5, 1]}
+    found: dict[str, Any] = {
+        "evaluate": mrac.evaluate(world.with_values(2.0, 0.5), 2, **more, **few),
         "compare": mrac.compare((world, 1), (world, 2), **few),
         "front": mrac.front(world, 2, losses=1, **few),
         "size": mrac.size(world, target=0.5, **few),
@@ -283,12 +285,22 @@ def test_json_objects_follow_the_schema() -> None:
         "threats_remove": mrac.threats(world, 2, remove=1, **few),
         "check": mrac.check(world, 2, **few),
         "check_worlds": mrac.check(worlds=2, robots=2, size="4x4", **few),
+        "check_paper": mrac.check(paper="fig4", maps=2, rollouts=4),
+        "sweep": mrac.sweep(tmp_path / "s.yaml", tmp_path / "s.store"), "results": mrac.results(tmp_path / "s.store"),
+        "record": mrac.record(world, 2, log, ids=[0]), "inspect": mrac.inspect(log),
+        "inspect_replay": mrac.inspect(log, replay=True),
+        "inspect_repair": mrac.inspect(log, repair=tmp_path / "s.mcap"),
         "judge": mrac.judge(world, lambda *given: np.zeros(1, int), robots=1, **few),
-    }
+    }  # fmt: skip
+    unsure = world.with_spread("lognormal", 0.5), world.with_latent_hazard("persistent", 0.1, learn=True)
+    teams = (world.with_prior_map(0.1, sensor_range=1), 2), (world, mrac.plan(world, 2, steps_per_move=(1, 2)))
+    others = [mrac.evaluate(*team, **few) for team in [*((one, 2) for one in unsure), *teams]]
+    wanted = [{"map_variance"}, {"experience"}, {"knowledge"}, {"team"}]
+    assert all(keys <= answer.to_json().keys() for keys, answer in zip(wanted, others, strict=True))
     defs = {name: {key: strict(value) for key, value in one.items()} for name, one in written["$defs"].items()}
-    for command, result in found.items():
+    for command, result in [*(("evaluate", answer) for answer in others), *found.items()]:
         rule = strict(written["commands"][command]) | {"$defs": defs, "properties": {"format": {"const": 2}}}
-        Draft202012Validator(rule).validate(json.loads(json.dumps(result.to_json())))
+        Draft202012Validator(rule).validate(json.loads(json.dumps({"format": 2} | result.to_json())))
     with pytest.raises(ValidationError, match="unexpected"):
         Draft202012Validator(rule).validate(found["judge"].to_json() | {"another": 1})
 

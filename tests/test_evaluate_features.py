@@ -220,8 +220,8 @@ def test_each_team_is_what_it_is_by_itself(answer: Evaluation) -> None:
     for team in found.teams:
         world = DARK.with_sensor_range(team.range)
         alone[team.range] = visited(world, mrac.plan(world), COUNT) / cells
-        assert team.coverage.mean == pytest.approx(alone[team.range].mean(), abs=1e-12)
-    assert found.learning.coverage.mean == answer.visited.mean
+        assert team.found.coverage.mean == pytest.approx(alone[team.range].mean(), abs=1e-12)
+    assert found.learning.found.coverage.mean == answer.visited.mean
     assert (alone[inf] == visited(TOLD, mrac.plan(TOLD), COUNT) / cells).all()
     price, apart = found.known_map.ahead(found.learning), alone[inf] - alone[2]
     assert price.mean == pytest.approx(apart.mean()) and price.se == pytest.approx(apart.std(ddof=1) / COUNT**0.5)
@@ -281,7 +281,7 @@ def test_where_the_map_is_drawn_who_is_told_plans_on_each() -> None:
     each = [replace(TOLD, threat=world.uncertainty.threat_at(row)) for row in range(2)]
     rows = rows_met(world.uncertainty, 0, np.arange(COUNT))[:, 0]
     by_map = [visited(one, mrac.plan(one), COUNT) for one in each]
-    assert told.coverage.mean * told.found.largest("visited") == pytest.approx(np.where(rows == 0, *by_map).mean())
+    assert told.found.mean("visited").mean == pytest.approx(np.where(rows == 0, *by_map).mean())
 
 
 def test_who_sees_everything_of_a_drawn_map_is_not_who_is_told_it() -> None:
@@ -291,7 +291,7 @@ def test_who_sees_everything_of_a_drawn_map_is_not_who_is_told_it() -> None:
     answer = mrac.evaluate(TOLD.with_maps(maps).with_sensor_range(inf), rollouts=COUNT, advice=False, band=False)
     found = answer.outputs["knowledge"]
     assert [team.range for team in found.teams] == [0, inf, inf] and found.learning is not found.known_map
-    assert found.learning.coverage.mean == pytest.approx(answer.figures.visited.mean.mean / answer.cells["accessible"])
+    assert found.learning.found.mean("visited").mean == pytest.approx(answer.figures.visited.mean.mean)
     assert found.known_map.ahead(found.learning).mean != 0
 
 
@@ -304,7 +304,7 @@ def test_of_many_maps_the_first_ones_are_planned_on() -> None:
     kept = np.isin(rows, first := list(dict.fromkeys(rows.tolist()))[:MOST_MAPS])
     assert len(first) == MOST_MAPS and found.known_map.found.rollouts == int(kept.sum()) < 300
     mine = visited(world, mrac.plan(world), 300)[kept].mean()
-    assert found.learning.coverage.mean * found.known_map.found.largest("visited") == pytest.approx(mine)
+    assert found.learning.found.mean("visited").mean == pytest.approx(mine)
 
 
 def test_fog_is_what_nobody_has_seen(answer: Evaluation) -> None:
@@ -395,7 +395,7 @@ def test_who_has_nothing_to_learn_is_told_and_blind_alike():
     found = mrac.evaluate(world, 2, rollouts=64, **QUIET_EXPERIENCE).outputs["experience"]
     for other in (found.known_hazards, found.no_learning):
         assert (other.column("visited") == found.learning.column("visited")).all()
-    assert found.bits == (0.0, 0.0)
+    assert found.bits.before == found.bits.after == 0.0
 
 
 def test_who_hears_nothing_may_take_what_the_plan_left_out():

@@ -35,7 +35,7 @@ from planner import formatting
 from planner.formatting import UNPACED, ceiled, chance, counted, duration, floored, inside, percent, share
 from planner.make_plan import make_plan
 from planner.plan.plan import NO_MORE, Plan, RobotPlan
-from planner.plan.state import NO_CELLS, MissionState, RobotState
+from planner.plan.state import MissionState, RobotState
 from planner.settings import Settings
 from planner.simulator.codes import Outcome
 from planner.tally import Tally, tally_key
@@ -81,7 +81,7 @@ def test_losses_in_words_and_in_the_headline(alive: tuple[int, ...]) -> None:
 def resumed(alive: list[int]) -> Evaluation:
     """Three robots, one of which the state says is dead: it is none of those that are lost in the runs."""
     whole = evaluation_of(alive)
-    robots = tuple(RobotState(0, status, -1, NO_CELLS, NO_CELLS, 0, False) for status in ("dead", "idle", "idle"))
+    robots = tuple(RobotState(0, status) for status in ("dead", "idle", "idle"))
     state = MissionState(whole.world.shape, whole.world.sha256, 0, np.array([0]), np.array([0]), robots)
     return replace(whole, plan=replace(whole.plan, state=state))
 

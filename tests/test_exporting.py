@@ -8,19 +8,22 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
 import rasterio
 import yaml
-from helpers import error_of
+from helpers import ROOT, error_of
+from jsonschema import Draft202012Validator
 from matplotlib.path import Path as Outline
 from rasterio.features import rasterize
 
 import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.cli.options import COMMANDS
-from analysis.exporting import FORMATS, cut_area, cut_line, outlines, straight_runs
+from analysis.exporting import FORMATS
+from analysis.exporting.mission import cut_area, cut_line, make_mission, outlines, straight_runs
 from planner.errors import InputError, MapError, PlanError, UsageError
 from planner.plan.plan import Plan, RobotPlan
 from planner.world.frame import Georeference
@@ -82,6 +85,11 @@ def routes(name: str, files: list[Path]) -> list[list[list[float]]]:
     if name == "geojson":
         features = json.loads(files[0].read_text())["features"]
         return [f["geometry"]["coordinates"] for f in features if f["geometry"]["type"] == "LineString"]
+    if name == "wpml":
+        return [[place_of(mark) for mark in waylines(file).iter(f"{KML}Placemark")] for file in files]
+    if name == "cot":
+        found = [event for event in events(files[0]) if event.attrib["type"] == "b-m-r"]
+        return [[linked(link) for link in event.iter("link")] for event in found]
     top = ElementTree.parse(files[0]).getroot()
     if name == "gpx":
         found = [route.findall(f"{GPX}rtept") for route in top.findall(f"{GPX}rte")]
@@ -90,11 +98,37 @@ def routes(name: str, files: list[Path]) -> list[list[list[float]]]:
     return [[[float(part) for part in place.split(",")] for place in line.split()] for line in lines]
 
 
-@pytest.mark.parametrize("name", ["qgc", "geojson", "kml", "gpx"])
+def waylines(file: Path) -> ElementTree.Element:
+    """What a DJI drone executes."""
+    with ZipFile(file) as archive:
+        assert archive.namelist() == ["wpmz/template.kml", "wpmz/waylines.wpml"]
+        return ElementTree.fromstring(archive.read("wpmz/waylines.wpml"))
+
+
+def place_of(mark: ElementTree.Element) -> list[float]:
+    return [float(part) for part in (mark.findtext(f"{KML}Point/{KML}coordinates") or "").split(",")]
+
+
+def events(file: Path) -> list[ElementTree.Element]:
+    """The Cursor on Target events that the manifest of a data package lists."""
+    with ZipFile(file) as archive:
+        manifest = ElementTree.fromstring(archive.read("MANIFEST/manifest.xml"))
+        assert (manifest.tag, manifest.attrib) == ("MissionPackageManifest", {"version": "2"})
+        listed = [one.attrib["zipEntry"] for one in manifest.iter("Content")]
+        assert ["MANIFEST/manifest.xml", *listed] == archive.namelist()
+        return [ElementTree.fromstring(archive.read(name)) for name in listed]
+
+
+def linked(link: ElementTree.Element) -> list[float]:
+    north, east = link.attrib["point"].split(",")[:2]
+    return [float(east), float(north)]
+
+
+@pytest.mark.parametrize("name", ["qgc", "geojson", "kml", "gpx", "wpml", "cot"])
 def test_places_on_the_earth_are_the_plans_cells(tmp_path: Path, mission: tuple[World, Plan], name: str) -> None:
     world, plan = mission
     files = mrac.export(world, plan, tmp_path / "out", to=name)  # type: ignore[arg-type]
-    assert len(files) == (2 if name == "qgc" else 1)
+    assert len(files) == (2 if name in ("qgc", "wpml") else 1)
     found = [cells_of(world, route) for route in routes(name, files)]
     assert found == [without_waits(robot.path.tolist()) for robot in plan.robots]
 
@@ -337,40 +371,17 @@ def test_what_robots_believe_is_called_so(tmp_path: Path) -> None:
     assert "believed_threat" in facts and "threat" not in facts
 
 
-NUMBER = (int, float)
-HEAD = {
-    "fileType": str, "version": NUMBER, "groundStation": str, "mission": dict, "geoFence": dict, "rallyPoints": dict,
-}  # fmt: skip
-MISSION = {
-    "plannedHomePosition": list, "items": list, "firmwareType": NUMBER, "vehicleType": NUMBER, "cruiseSpeed": NUMBER,
-    "hoverSpeed": NUMBER, "globalPlanAltitudeMode": NUMBER, "version": NUMBER,
-}  # fmt: skip
-ITEM = {"type": str, "frame": NUMBER, "command": NUMBER, "params": list, "autoContinue": bool, "doJumpId": NUMBER}
-PLACED = {"AltitudeMode": NUMBER, "Altitude": NUMBER, "AMSLAltAboveTerrain": type(None)}
-"""Keys and types that QGroundControl validates: PlanMasterController::loadFromFile, _loadJsonMissionFileV2 of
-MissionController, MissionItem::load, SimpleMissionItem::load (of commands that have a place; null is its NaN)."""
+def check_format(name: str, content: object) -> None:
+    """What a format's own reader asks for (`fixtures/formats`)."""
+    Draft202012Validator(json.loads((ROOT / f"tests/fixtures/formats/{name}.json").read_text())).validate(content)
 
 
-def check_keys(found: dict[str, Any], wanted: dict[str, Any]) -> None:
-    assert found.keys() == wanted.keys()
-    for name, kind in wanted.items():
-        assert isinstance(found[name], kind) and (kind is not NUMBER or not isinstance(found[name], bool)), name
-
-
-def check_loads(content: dict[str, Any]) -> None:
-    """What QGroundControl's loaders ask for; without a place are commands of MAV_FRAME_MISSION (2)."""
-    check_keys(content, HEAD)
-    check_keys(content["mission"], MISSION)
-    check_keys(content["geoFence"], {"circles": list, "polygons": list, "version": NUMBER})
-    check_keys(content["rallyPoints"], {"points": list, "version": NUMBER})
-    assert (content["fileType"], content["version"], content["mission"]["version"]) == ("Plan", 1, 2)
-    assert content["geoFence"]["version"] == content["rallyPoints"]["version"] == 2
-    assert len(content["mission"]["plannedHomePosition"]) == 3
-    for item in content["mission"]["items"]:
-        check_keys(item, ITEM if item["frame"] == 2 else ITEM | PLACED)
-        assert item["type"] == "SimpleItem" and item["autoContinue"] is True and len(item["params"]) == 7
-        assert all(part is None or isinstance(part, NUMBER) for part in item["params"])
-        assert item["frame"] == {22: 3, 16: 3, 178: 2}[item["command"]]
+def as_dict(element: ElementTree.Element) -> dict[str, Any]:
+    """Attributes with @, and lists of children by name."""
+    found: dict[str, Any] = {f"@{name}": value for name, value in element.attrib.items()}
+    for child in element:
+        found.setdefault(child.tag.rpartition("}")[2], []).append(as_dict(child))
+    return found
 
 
 def test_missions_take_off_hold_and_drive(tmp_path: Path) -> None:
@@ -381,7 +392,7 @@ def test_missions_take_off_hold_and_drive(tmp_path: Path) -> None:
     for altitude, commands, vehicle in ((30.0, [178, 22, 16, 16], 2), (0.0, [178, 16, 16, 16], 10)):
         (file,) = mrac.export(world, plan, tmp_path / "a.plan", altitude=altitude, speed=2.0, force=True)
         content = json.loads(file.read_text())
-        check_loads(content)
+        check_format("qgc", content)
         assert content["mission"]["vehicleType"] == vehicle
         items = content["mission"]["items"]
         assert [item["command"] for item in items] == commands
@@ -393,12 +404,187 @@ def test_missions_take_off_hold_and_drive(tmp_path: Path) -> None:
         assert home[:2] == items[1]["params"][4:6] and abs(home[0] - 52) < 0.1 and abs(home[1] - 15) < 0.1
 
 
+def test_more_waypoints_than_a_controller_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("analysis.exporting.flight.MOST_ITEMS", 4)
+    with pytest.raises(PlanError, match=r"robot \d has a mission of \d+ items; expected at most 4, which MAVLink"):
+        mrac.export(a_world(), 1, tmp_path / "a.plan")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_fence_holds_what_can_be_reached_and_rally_points_are_bases(tmp_path: Path) -> None:
+    """A yard that a wall cuts off, and an island of keep-out cells."""
+    threat = np.zeros((8, 10))
+    threat[:, 7], threat[3:5, 2:5] = np.nan, np.nan
+    world = World.create(threat, [[0, 0]], 4.0, (*PLACES["utm"][1][:2], 0.2), georeference=PLACES["utm"][0])
+    plan = mrac.plan(world, return_to=[[7, 0], [0, 0]])
+    (file,) = mrac.export(world, plan, tmp_path / "a.plan")
+    content = json.loads(file.read_text())
+    check_format("qgc", content)
+    rings = [Outline([point[::-1] for point in one["polygon"]]) for one in content["geoFence"]["polygons"]]
+    assert [one["inclusion"] for one in content["geoFence"]["polygons"]] == [True, False]
+    centres = np.transpose(rasterio.warp.transform("EPSG:32633", "EPSG:4326", *world.to_xy(np.arange(80)).T))
+    held = rings[0].contains_points(centres) & ~rings[1].contains_points(centres)
+    assert held.tolist() == world.accessible([[0, 0]]).ravel().tolist()
+    assert FORMATS["qgc"].notes(make_mission(world, plan)) == ()
+    rough = np.zeros((9, 30))
+    rough[1::2, 1::2] = np.nan
+    many = World.create(rough, None, 4.0, world.origin, georeference=world.georeference)
+    assert "corners, and PX4 takes 64" in FORMATS["qgc"].notes(make_mission(many, mrac.plan(many)))[0]
+    found = np.array(content["rallyPoints"]["points"])
+    np.testing.assert_allclose(found[:, 1::-1], centres[[0, 70]], atol=1e-8)
+
+
+def dem(path: Path, world: World, shift: float = 0.0) -> Path:
+    """Heights: a plane, 300 m + (x - x0) / 2, and a ridge of 12 m along a column of cells; pixels of 1 m."""
+    x, y, _ = world.origin
+    cols = np.tile(np.arange(60) + 0.5, (60, 1))
+    heights = 300 + (cols - 10) / 2 + 12 * (np.abs(cols - 10 - 18) < 2)
+    place = rasterio.Affine(1, 0, x - 10 + shift, 0, -1, y + 50)
+    with rasterio.open(path, "w", driver="GTiff", width=60, height=60, count=1, dtype="float64", crs="EPSG:32633",
+                       transform=place) as data:  # fmt: skip
+        data.write(heights, 1)
+    return path
+
+
+def test_heights_above_the_ground(tmp_path: Path) -> None:
+    """Linear between the pixels' centres, so exact on the plane; a flight over the ridge climbs before it."""
+    world = World.create(np.zeros((1, 9)), None, 4.0, (*PLACES["utm"][1][:2], 0.0), georeference=PLACES["utm"][0])
+    plan, ground = mrac.plan(world, 1), dem(tmp_path / "dem.tif", world)
+    flat = [300 + (4 * col + 2) / 2 + 12 * (col == 4) for col in range(9)]
+    (file,) = mrac.export(world, plan, tmp_path / "a.plan", terrain=ground, altitude=30.0)
+    content = json.loads(file.read_text())
+    check_format("qgc", content)
+    assert content["mission"]["firmwareType"] == 3 and content["mission"]["globalPlanAltitudeMode"] == 4
+    items = [item for item in content["mission"]["items"] if item["frame"] == 10]
+    assert [(item["Altitude"], item["params"][6]) for item in items] == [(30.0, 30.0)] * 2
+    assert [item["AMSLAltAboveTerrain"] for item in items] == pytest.approx([flat[0] + 30, flat[8] + 30], abs=0.02)
+    (file,) = mrac.export(world, plan, tmp_path / "a.csv", terrain=ground, altitude=30.0)
+    found = [float(row["z"]) for row in csv.DictReader(file.read_text().splitlines())]
+    assert found == pytest.approx([one + 30 for one in flat], abs=0.02)
+    (file,) = mrac.export(world, plan, tmp_path / "a.kmz", terrain=ground, altitude=30.0)
+    marks = list(waylines(file).iter(f"{KML}Placemark"))
+    cells = [cells_of(world, [place_of(mark)])[0] for mark in marks]
+    heights = [float(mark.findtext(f"{WPML}executeHeight") or "") for mark in marks]
+    assert heights == pytest.approx([30 + flat[cell] - flat[0] for cell in cells], abs=0.03)
+    between = np.interp(range(9), cells, heights) - (np.array(flat) - flat[0])
+    assert np.abs(between - 30).max() <= 1 and {3, 4, 5} <= set(cells)
+    assert float(waylines(file).findtext(f".//{WPML}globalRTHHeight") or "") >= 29.97 + max(flat) - flat[0]
+    with pytest.raises(MapError, match=r"has no height at the cell \[0, 8\] of a path \(1 such cells\)"):
+        mrac.export(world, plan, tmp_path / "b.plan", terrain=dem(tmp_path / "off.tif", world, -17.0))
+    with pytest.raises(UsageError, match="terrain with a format that ignores it; expected qgc or csv or wpml"):
+        mrac.export(world, plan, tmp_path / "b.kml", terrain=ground)
+    assert not list(tmp_path.glob("b.*"))
+
+
+WPML = "{http://www.dji.com/wpmz/1.0.2}"
+
+
+def test_flights_of_dji_drones(tmp_path: Path) -> None:
+    """2 to 99 waypoints; each flight there, along and back lasts no longer than the battery."""
+    rng = np.random.default_rng(5)
+    threat = np.where(rng.random((24, 24)) < 0.15, np.nan, 0.0)
+    threat[0, 0] = 0.0
+    world = World.create(threat, [[0, 0]], 4.0, (*PLACES["utm"][1][:2], 0.3), georeference=PLACES["utm"][0])
+    plan = mrac.plan(world)
+    whole = mrac.export(world, plan, tmp_path / "whole.kmz", speed=5.0)
+    parts = mrac.export(world, plan, tmp_path / "part", to="wpml", speed=5.0, battery=2.0)
+    assert len(parts) > len(whole) > 1 and whole[1].name == "whole-0-1.kmz" and parts[1].name == "robot-0-1.kmz"
+    for files, limit in ((whole, math.inf), (parts, 120.0)):
+        joined: list[int] = []
+        for file in files:
+            top = waylines(file)
+            check_format("wpml", as_dict(top))
+            marks = list(top.iter(f"{KML}Placemark"))
+            assert [mark.findtext(f"{WPML}index") for mark in marks] == [str(n) for n in range(len(marks))]
+            points = np.array(
+                rasterio.warp.transform("EPSG:4326", "EPSG:32633", *zip(*map(place_of, marks), strict=True))
+            ).T
+            base = world.to_xy(np.array([0]))
+            lengths = np.linalg.norm(np.diff(np.concatenate([base, points, base]), axis=0), axis=1)
+            assert (lengths.sum() + 2 * 20.0) / 5.0 <= limit
+            cells = cells_of(world, [place_of(mark) for mark in marks])
+            assert not joined or joined[-1] == cells[0]
+            joined += cells
+        assert without_waits(joined) == without_waits(plan.robots[0].path.tolist())
+    for given, words in (
+        ({"battery": 0.2}, r"battery=0.2 minutes do not last for a straight run of robot 0; expected 0\.\d or more"),
+        ({"altitude": 0.0}, "altitude=0.0; expected .* above the ground for wpml"), ({"speed": 20.0}, "speed=20.0"),
+        ({"battery": -1.0}, "battery=-1.0"),
+    ):  # fmt: skip
+        with pytest.raises(UsageError, match=words):
+            mrac.export(world, plan, tmp_path / "none.kmz", **given)  # type: ignore[arg-type]
+    assert not (tmp_path / "none.kmz").exists()
+
+
+def test_a_waypoint_waits(tmp_path: Path) -> None:
+    world = a_world()
+    plan = Plan(world.shape, world.sha256, None, (RobotPlan(np.array([0, 1, 1, 1, 2])),), outcome="end_of_paths")
+    (file,) = mrac.export(world, plan, tmp_path / "a.kmz", speed=2.0)
+    groups = list(waylines(file).iter(f"{WPML}actionGroup"))
+    assert [group.findtext(f".//{WPML}hoverTime") for group in groups] == ["4.0"]
+    assert [group.findtext(f"{WPML}actionGroupStartIndex") for group in groups] == ["1"]
+
+
+def test_events_for_tak(tmp_path: Path) -> None:
+    """A point for each start, and areas as closed shapes around their cells; names are the same in a later package."""
+    world = a_world()
+    plan = mrac.plan(world, 2, return_to="home")
+    (file,) = mrac.export(world, plan, tmp_path / "a.zip")
+    found = events(file)
+    kinds = [event.attrib["type"] for event in found]
+    assert [kinds.count(kind) for kind in ("b-m-p-s-m", "u-d-f", "b-m-r")] == [
+        len({tuple(start) for start in plan.starts.tolist()}), len(plan.areas), 2,
+    ]  # fmt: skip
+    assert len({event.attrib["uid"] for event in found}) == len(found)
+    for event in found:
+        check_format("cot", as_dict(event))
+        assert event.attrib["stale"] > event.attrib["start"]
+    for area, event in zip(plan.areas, [one for one in found if one.attrib["type"] == "u-d-f"], strict=True):
+        ring = [linked(link) for link in event.iter("link")]
+        assert ring[0] == ring[-1]
+        centres = np.transpose(rasterio.warp.transform("EPSG:32633", "EPSG:4326", *world.to_xy(area.cells).T))
+        assert Outline(ring).contains_points(centres).all()
+    again = {event.attrib["uid"] for event in events(mrac.export(world, plan, tmp_path / "b.zip")[0])}
+    assert again == {event.attrib["uid"] for event in found}
+
+
+def test_the_graph_of_the_areas_for_nav2(tmp_path: Path) -> None:
+    """Nodes in their areas, edges between all areas that touch; survival along the line of each edge."""
+    world = a_world()
+    plan = mrac.plan(world, 2)
+    (file,) = mrac.export(world, plan, tmp_path / "g.geojson", to="nav2_route")
+    check_format("nav2_route", json.loads(file.read_text()))
+    features = json.loads(file.read_text())["features"]
+    nodes = [one for one in features if one["geometry"]["type"] == "Point"]
+    edges = [one for one in features if one["geometry"]["type"] == "MultiLineString"]
+    ids = [one["properties"]["id"] for one in features]
+    assert len(nodes) == len(plan.areas) and len(nodes) + len(edges) == len(features) and ids == [*range(len(ids))]
+    areas = [set(area.cells.tolist()) for area in plan.areas]
+    for node, area in zip(nodes, areas, strict=True):
+        assert cells_along(world, np.array([node["geometry"]["coordinates"]]))[0] in area
+    for edge in edges:
+        facts = edge["properties"]
+        assert (facts["overridable"], facts["cost"]) == (True, 0.0)
+        cells = cells_along(world, np.array(edge["geometry"]["coordinates"][0]))
+        assert cells[0] in areas[facts["startid"]] and cells[-1] in areas[facts["endid"]]
+        survival = math.prod(1 - float(world.threat.flat[cell]) for cell in cells[1:])
+        assert facts["metadata"]["survival"] == pytest.approx(survival)
+        assert facts["metadata"]["penalty"] == pytest.approx(-math.log(survival), abs=1e-12)
+    width = world.shape[1]
+    beside = {(m, n) for m, one in enumerate(areas) for n, other in enumerate(areas) if m != n and any(
+        cell + step in other for cell in one for step in (1, -1, width, -width)
+        if not (abs(step) == 1 and cell // width != (cell + step) // width))}  # fmt: skip
+    assert {(edge["properties"]["startid"], edge["properties"]["endid"]) for edge in edges} == beside
+    with pytest.raises(PlanError, match="the plan has 1 areas"):
+        mrac.export(World.create(np.zeros((3, 3))), 1, tmp_path / "h.geojson", to="nav2_route")
+
+
 def test_a_map_that_nobody_put_on_the_earth(tmp_path: Path) -> None:
     world = mrac.load(np.zeros((3, 4)))
     for name, form in FORMATS.items():
         if name in ("nav2", "csv", "geotiff"):
             assert mrac.export(world, 1, tmp_path / f"a{form.suffixes[0]}")
-        else:
+        elif form.on_earth:
             with pytest.raises(MapError, match=r"the map has no georeference.* give a GeoTIFF with a CRS, or `datum"):
                 mrac.export(world, 1, tmp_path / "none", to=name)  # type: ignore[arg-type]
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.csv", "a.tif", "a.yaml"]

@@ -15,6 +15,7 @@ from closed_loop_worlds import survey_worlds
 from conftest import ANSWERS
 from helpers import paths_of, play_both_ways
 from numpy.typing import NDArray
+from test_return_home import drawn as coming_home
 from test_return_home import ways
 from test_threats_over_time import POLICIES, changing
 
@@ -760,7 +761,27 @@ def as_told(trace: Trace, world: World, *_: Any) -> Believed:
     return believed
 
 
+def wrecks(number: int) -> tuple[World, NDArray[np.int64], Settings]:
+    """A drawn world in which lost robots block their cells."""
+    policy = POLICIES[number % len(POLICIES)] | {"range": None}
+    return *coming_home(number), Settings(**policy | HOMES[number // 3 % 5], wrecks="block")
+
+
+def as_blocked(trace: Trace, world: World, *_: Any) -> Believed:
+    """The map without the cells of lost robots, once nobody else is there; nobody enters them then."""
+    p = world.threat.ravel().astype(np.float64).copy()
+
+    def believed(step: int) -> NDArray[np.float64]:
+        lost = trace.doing[step] == Doing.DEAD
+        assert not np.isnan(p[trace.cells[step, ~lost]]).any()
+        p[np.setdiff1d(trace.cells[step, lost], trace.cells[step, ~lost])] = np.nan
+        return p
+
+    return believed
+
+
 DRAWN = {"seen": (unseen, as_seen), "hazards": (hazards, as_happened), "phases": (phases, as_told)}
+DRAWN |= {"wrecks": (wrecks, as_blocked)}
 
 
 def agree(kind: str, number: int) -> NDArray[np.int64]:
@@ -770,10 +791,12 @@ def agree(kind: str, number: int) -> NDArray[np.int64]:
     plan = make_plan(world, starts, settings)
     loop = compile_closed_loop(plan, world)
     traces = trace_rollouts(loop, number, range(2))
+    if kind == "wrecks":
+        play_both_ways(plan, world, number, 2)
     tally, singles = run_range(loop, number, 0, 64, threads=2, singles=True)
     np.testing.assert_array_equal(tally.home, np.bincount(singles.home, minlength=len(starts) + 1))
     limits = settings.range, settings.deadline
-    if settings.return_to == "home" and limits == (None, None) and kind != "hazards":
+    if settings.return_to == "home" and limits == (None, None) and kind not in ("hazards", "wrecks"):
         np.testing.assert_array_equal(singles.home, singles.alive)  # where it came from it can always go back
     events = np.concatenate([trace.events[:, 2] for trace in traces])
     found = [int((events == event).sum()) for event in (EventKind.SURPRISED, EventKind.HOME)]
@@ -786,7 +809,7 @@ def agree(kind: str, number: int) -> NDArray[np.int64]:
 
 
 BELIEFS = [
-    ("seen", range(24), 40), ("hazards", range(12), 6), ("phases", range(12), 6),
+    ("seen", range(24), 40), ("hazards", range(12), 6), ("phases", range(12), 6), ("wrecks", range(12), 6),
     pytest.param("seen", range(24, 1024), 1000, marks=pytest.mark.slow),
     pytest.param("hazards", range(24, 524), 200, marks=pytest.mark.slow),
     pytest.param("phases", range(24, 524), 200, marks=pytest.mark.slow),
@@ -796,6 +819,16 @@ BELIEFS = [
 @pytest.mark.parametrize(("kind", "numbers", "least"), BELIEFS)
 def test_robots_come_home_by_what_is_believed(kind: str, numbers: range, least: int) -> None:
     assert (sum(agree(kind, number) for number in numbers) > least).all()
+
+
+@pytest.mark.parametrize(("wrecks", "visited", "alive"), [("ignore", 4.75, 1.25), ("block", 4.5, 1.5)])
+def test_a_lost_robot_blocks_a_corridor_by_hand(wrecks: Any, visited: float, alive: float) -> None:
+    """The robot next to the threat enters it first: if it is lost there, the other goes after it, or has no way."""
+    world = World.create([[0, 0, 0, 0.5, 0]])
+    plan = make_plan(world, [[0, 0], [0, 2]], Settings(wrecks=wrecks))
+    tree = grow_tree(compile_closed_loop(plan, world), 0.0, 10**6)
+    assert tree is not None and (*tree.covered("visited"), tree.mean_alive) == pytest.approx((visited, visited, alive))
+    assert compile_closed_loop(plan, world).learns == (wrecks == "block")
 
 
 def test_a_phase_that_begins_turns_who_is_on_its_way_home_by_hand() -> None:

@@ -174,22 +174,6 @@ def test_greys_of_unknown_ground_in_a_scale_map(tmp_path: Path, grey: int, free:
     assert (read_ros_map(ros(tmp_path, image, free_thresh=float(fix))).occupancy == -1).sum() == 6
 
 
-@pytest.mark.parametrize("name", ["m.jpg", "m.tif", "m.png"])
-def test_greys_of_unknown_ground_under_lossy_compression(tmp_path: Path, name: str) -> None:
-    """JPEG stores 205 as something near it; nothing else does, where 206 is no grey of unknown ground."""
-    image = np.full((16, 16), 206, dtype=np.uint8)
-    image[:8, :8], image[8:, 8:] = 203, 0
-    options = {"m.jpg": {"quality": 100}, "m.tif": {"compression": "jpeg", "quality": 100}}.get(name, {})
-    Image.fromarray(image).save(tmp_path / name, **options)
-    path = ros(tmp_path, image, free_thresh=0.25, image=name)
-    notes = [note for note in load_input(path).notes if "writes for unknown" in note]
-    if name == "m.png":
-        assert not notes
-    else:
-        assert notes[0].startswith("grey 205 (203 to 207 under lossy compression), which map_saver writes")
-        assert "is free in 192 pixels; with `free_thresh: 0.192`" in notes[0]
-
-
 def test_colour_counts_by_its_mean_and_16_bits_as_well(tmp_path: Path) -> None:
     colour = np.zeros((1, 2, 3), dtype=np.uint8)
     colour[0, 1] = [255, 255, 100]

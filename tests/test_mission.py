@@ -641,8 +641,13 @@ HOMES: list[dict[str, Any]] = [
 ]  # fmt: skip
 
 
-def drawn_lessons(number: int, kind: str) -> tuple[World, list[list[int]]]:
-    """A world with one dangerous level at any time, so that costs are on one scale whatever is known."""
+def drawn_lessons(number: int, kind: str) -> tuple[World, Any, World | None, Any]:
+    """A world with one dangerous level at any time, so that costs are on one scale whatever is known; and for `drive`.
+
+    Of robots that say what they see, the world that they know, the one that they meet, and what is seen of a cell.
+    """
+    if kind == "seen":
+        return of_one_level(number)
     luck = np.random.default_rng(number)
     shape = (int(luck.integers(3, 7)), int(luck.integers(3, 7)))
     walls = np.where(luck.random(shape) < 0.15, np.nan, 0.0)
@@ -653,15 +658,17 @@ def drawn_lessons(number: int, kind: str) -> tuple[World, list[list[int]]]:
     starts = [[0, 0]] * int(luck.integers(1, 4))
     if kind == "phases":
         begins = np.sort(luck.choice(np.arange(1, 20), 2, replace=False)).tolist()
-        return World.create(maps[0]).with_phases(list(zip(begins, maps[1:], strict=True))), starts
-    return World.create(walls).with_latent_hazard(kind, np.nan_to_num(maps[0]), 1.0, learn=True), starts
+        return World.create(maps[0]).with_phases(list(zip(begins, maps[1:], strict=True))), starts, None, None
+    if kind == "wrecks":
+        return World.create(maps[0] / 2), 2 * starts, None, None
+    return World.create(walls).with_latent_hazard(kind, np.nan_to_num(maps[0]), 1.0, learn=True), starts, None, None
 
 
 def drive(
     world: World, starts: Any, settings: Settings, seed: int, file: Path | None, met: World | None = None,
     sees: Any = None,
-) -> tuple[Any, Any]:  # fmt: skip
-    """Where robots are at the end of each step, driven, luck answering; and simulated.
+) -> tuple[Any, Any, Mission]:  # fmt: skip
+    """Where robots are at the end of each step, driven, luck answering; and simulated; and the mission.
 
     `met`: the world that luck and the simulation know, if robots only see what it is like.
     """
@@ -677,22 +684,29 @@ def drive(
             break
         mission = step_by_luck(mission, luck, sees=sees, file=file if step % 3 == 1 else None, **how)
         places.append([mission._fleet.cell(robot) for robot in range(mission.robots)])
-    return np.array(places), trace
+    return np.array(places), trace, mission
 
 
-@pytest.mark.parametrize("kind", ["phases", "persistent", "consumed"])
-@pytest.mark.parametrize("worlds", [8, pytest.param(400, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", ["phases", "persistent", "consumed", "seen", "wrecks"])
+@pytest.mark.parametrize("worlds", [16, pytest.param(400, marks=pytest.mark.slow)])
 def test_it_drives_as_the_simulator_does(worlds: int, kind: str, tmp_path: Path) -> None:
-    surprised = 0
+    surprised, compared, ends = 0, 0, set[Outcome | None]()
     for number in range(worlds):
-        world, starts = drawn_lessons(number, kind)
+        world, starts, met, sees = drawn_lessons(number, kind)
         file = tmp_path / "m.json" if number % 3 == 0 else None
-        settings = Settings(policy=("mrac", "per_cell")[number % 2], **HOMES[number // 2 % len(HOMES)])
-        places, trace = drive(world, starts, settings, number, file)
+        more = {} if kind == "seen" else HOMES[number // 2 % len(HOMES)]
+        more = more | {"wrecks": "block"} if kind == "wrecks" else more
+        settings = Settings(policy=("mrac", "per_cell")[number % 2], **more)
+        places, trace, mission = drive(world, starts, settings, number, file, met, sees)
         alive = trace.doing[: len(places)] != Doing.DEAD
         assert (np.where(alive, places, 0) == np.where(alive, trace.cells[: len(places)], 0)).all(), number
-        surprised += int((trace.events[:, 2] == EventKind.SURPRISED).sum())
-    assert surprised > 5
+        if kind == "wrecks":
+            assert mission.outcome is trace.outcome.by_deadline(settings.ends_by_deadline)
+            assert mission.covered == pytest.approx(len(np.unique(trace.cells)) / world.accessible(starts).sum())
+        ends.add(mission.outcome)
+        surprised, compared = surprised + (trace.events[:, 2] == EventKind.SURPRISED).sum(), compared + len(places)
+    assert surprised > 5 and (kind != "seen" or (compared > 5 * worlds and 3 * surprised > 5 * worlds))
+    assert kind != "wrecks" or {Outcome.COMPLETE, Outcome.NO_PROGRESS, Outcome.ALL_ROBOTS_LOST} <= ends
 
 
 @pytest.mark.parametrize("more", [{}, {"return_to": "home"}])
@@ -702,7 +716,7 @@ def test_a_mission_waits_for_a_phase_that_is_announced(more: dict[str, Any], tmp
     for f in (1, 3, 4, 9):
         world = World.create([[0, 0.5, 0, 0]]).with_phases([(f, np.zeros((1, 4)))])
         settings = Settings(policy="per_cell", robot_value=4.0, **more)
-        places, trace = drive(world, [[0, 0]], settings, f, tmp_path / "m.json" if f > 3 else None)
+        places, trace, _ = drive(world, [[0, 0]], settings, f, tmp_path / "m.json" if f > 3 else None)
         assert (trace.outcome, trace.time) == (Outcome.COMPLETE, f + 3 + home)
         assert places.ravel().tolist() == [0] * (f + 1) + [1, 2, 3] + [2, 1, 0] * bool(home)
         assert places.tolist() == trace.cells.tolist()
@@ -748,7 +762,7 @@ def test_what_it_cannot_act_on_is_said() -> None:
 # A mission whose robots say what they see goes on as a simulated team that learns the map.
 
 
-def of_one_level(number):
+def of_one_level(number: int) -> tuple[World, Any, World, Any]:
     """A drawn world with one dangerous level, so that costs are the same whatever is known of the map."""
     stream = Stream(number, 1518)
     believed, truth, starts, sense = drawn(number, stream)
@@ -756,30 +770,14 @@ def of_one_level(number):
     for one in (believed, truth):  # some cell is dangerous on either map
         if not (one > 0).any():
             one[np.isnan(one) | (one == 0)] = np.where(np.isnan(one[np.isnan(one) | (one == 0)]), np.nan, 0.3)
-    return World.create(believed).with_true_map(truth, sense), starts
+    world = World.create(believed).with_true_map(truth, sense)
+    begin, view = world.knowledge.sense.views(world.knowledge.free, np.arange(world.threat.size))  # type: ignore[union-attr]
+    p = [None if np.isnan(one) else float(one) for one in world.met.ravel()]
 
+    def sees(at: int) -> list[list[Any]]:
+        return [[*divmod(int(cell), world.shape[1]), p[cell]] for cell in view[begin[at] : begin[at + 1]]]
 
-@pytest.mark.parametrize("numbers", [range(8), pytest.param(range(8, 60), marks=pytest.mark.slow)], ids=str)
-@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
-def test_it_drives_as_the_simulator_does_seen(policy, numbers, tmp_path):
-    compared = surprised = 0
-    for number in numbers:
-        world, starts = of_one_level(number)
-        file = tmp_path / "m.json" if number % 3 == 0 else None
-        cells, met = np.arange(world.threat.size), world.met.ravel()
-        begin, view = world.knowledge.sense.views(world.knowledge.free, cells)
-        p = [None if np.isnan(one) else float(one) for one in met]
-
-        def sees(at, begin=begin, view=view, p=p, width=world.shape[1]):
-            return [[*divmod(int(cell), width), p[cell]] for cell in view[begin[at] : begin[at + 1]]]
-
-        known = as_planned(world, starts)
-        places, trace = drive(known, starts, Settings(policy=policy), number, file, world, sees)
-        alive = trace.doing[: len(places)] != Doing.DEAD
-        assert (np.where(alive, places, 0) == np.where(alive, trace.cells[: len(places)], 0)).all(), number
-        compared += len(places)
-        surprised += (trace.events[:, 2] == 8).sum()
-    assert compared > 5 * len(numbers) and 3 * surprised > 5 * len(numbers)
+    return as_planned(world, starts), starts, world, sees
 
 
 def test_what_cannot_be_seen_is_said_and_nothing_happens():

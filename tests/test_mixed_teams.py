@@ -72,7 +72,7 @@ def test_robots_of_several_types_come_home_each_by_its_own_way(part: int, seeds:
         check_homes(part, seed, 2)
 
 
-@pytest.mark.parametrize("what", ["types", "speeds", "radio"])
+@pytest.mark.parametrize("what", ["types", "speeds", "radio", "wrecks"])
 def test_everything_that_can_happen_on_rows(what: str) -> None:
     """The tree of the closed loop against an enumeration that shares no code with it."""
     for seed in range(12):
@@ -80,7 +80,8 @@ def test_everything_that_can_happen_on_rows(what: str) -> None:
         size = int(rng.integers(*((5, 9) if what == "radio" else (4, 8))))
         p = np.float32(rng.choice([0, 0, 0.1, 0.2, 0.37], (2, size) if what == "types" else (1, size)))
         starts, own = rng.integers(0, size, robots).tolist(), [p[0].tolist()] * robots
-        world, paces, radio, more = World.create([p.max(axis=0)]), None, inf, dict[str, Any]()
+        world, paces, radio = World.create([p.max(axis=0)]), None, inf
+        more: dict[str, Any] = {"wrecks": "block"} if what == "wrecks" else {}
         if what == "types":
             types = ("a", "b", *"ba"[: seed % 2])
             known = checked_types(("a", "b"), p[:, None], np.full((1, size), True), "")
@@ -89,11 +90,11 @@ def test_everything_that_can_happen_on_rows(what: str) -> None:
         elif what == "speeds":
             paces = (1, *rng.integers(2, 4, robots - 1).tolist())
             more = {"steps_per_move": paces}
-        else:
+        elif what == "radio":
             radio = float(rng.integers(1, 4))
             more = {"radio": radio}
         plan = make_plan(world, [[0, start] for start in starts], Settings(density=1e6, **more))
-        assert_as_enumerated(plan, world, everything(own, starts, paces and list(paces), radio=radio))
+        assert_as_enumerated(plan, world, everything(own, starts, paces and list(paces), radio, what == "wrecks"))
 
 
 @pytest.mark.parametrize("policy", ["per_cell", "watchful"])

@@ -103,7 +103,7 @@ def test_a_page_of_hostile_words_is_sound() -> None:
         table.add_row(*HOSTILE)
         settings = dict(zip(HOSTILE, HOSTILE, strict=True))
         parts = [Section(HOSTILE[0], figures=lambda: [chart]), Section("Tables", [table], HOSTILE, intro=HOSTILE[0])]
-        said = Report(HOSTILE[0], HOSTILE[0], HOSTILE[0], HOSTILE[2], dict, HOSTILE, [KeyFigure(*HOSTILE[:3])],
+        said = Report(HOSTILE[0], HOSTILE[0], HOSTILE[0], HOSTILE[2], {}, HOSTILE, [KeyFigure(*HOSTILE[:3])],
                       parts=parts, notes=HOSTILE, warnings=HOSTILE, settings=settings, heading=HOSTILE)  # fmt: skip
         return page_of(said, HOSTILE[0], dict.fromkeys(HOSTILE, PNG), HOSTILE)
 
@@ -122,7 +122,7 @@ def test_an_axis_of_words_has_words() -> None:
 
 
 def test_sections_without_anything_are_left_out() -> None:
-    said = Report("n", "k", "T", "A.", dict, parts=[Section("One", notes=["x"]), Section("Two")])
+    said = Report("n", "k", "T", "A.", {}, parts=[Section("One", notes=["x"]), Section("Two")])
     headings = [heading for _, heading in check_page_is_sound(page_of(said, "mrac-jax", {}, ())).headings]
     assert headings == ["T", "One", "How to reproduce"]
 

@@ -622,7 +622,7 @@ OTHER = {
     "plan_for": "open_loop", "effort": 7, "range": 9, "deadline": 30,
     "weibull_shape": 2.5, "hazard_multiplier": 0.5, "return_to": "nearest", "recharge": 4, "deliver_every": 3,
     "in_area": "boustrophedon", "types": "rover", "steps_per_move": 2, "radio": 4.5,
-    "priority": 5,
+    "priority": 5, "wrecks": "block",
 }  # fmt: skip
 WRONG = {
     "levels": 1, "density": 1.0, "risk": "brave", "transit": "air", "max_steps": 0,
@@ -630,7 +630,7 @@ WRONG = {
     "plan_for": "both", "effort": -1, "range": -1, "deadline": -1,
     "weibull_shape": 0.1, "hazard_multiplier": 65.0, "return_to": "base", "recharge": 0, "deliver_every": 0,
     "in_area": "spiral", "types": "", "steps_per_move": 0, "radio": 0.0,
-    "priority": 0,
+    "priority": 0, "wrecks": "sink",
 }  # fmt: skip
 NEEDS = {name: {"policy": "per_cell"} for name in ("risk_cap", "robot_value", "priority")} | {
     "effort": {"plan_for": "open_loop"}

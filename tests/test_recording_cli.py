@@ -80,16 +80,13 @@ def test_record_replay_inspect(tmp_path: Path, capsys: pytest.CaptureFixture[str
     said = capsys.readouterr()
     assert "picked as" in said.out
     assert "worst" in said.out and "all robots lost" in said.out and "stopped" not in said.out
-    assert [line for line in said.err.splitlines() if line.startswith("wrote ")] == [
-        f"wrote {out}",
-        f"wrote {tmp_path / 'run.layout.json'}",
-    ]
+    wrote = [line for line in said.err.splitlines() if line.startswith("wrote ")]
+    assert wrote == [f"wrote {out}", f"wrote {tmp_path / 'run.layout.json'}"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.layout.json", "run.mcap"]
     assert json.loads((tmp_path / "run.layout.json").read_text())
     assert "identical" in inspected(capsys, str(out), "--replay", "--all")
     text = inspected(capsys, str(out))
-    assert "/map/threat" in text
-    assert "is lost at [" in text
+    assert "/map/threat" in text and "is lost at [" in text
     rollouts = list(read_rollouts(out))
     assert f"rollout {rollouts[0].trace.rollout} ends: " in text
     outcomes = read_outcomes(out)

@@ -33,7 +33,7 @@ from analysis.recording import container
 from analysis.recording.container import PARTIAL, RECOVERED, LogSchema, LogWriter, Lost, Recovered, open_log, recover
 from analysis.recording.replay import recovered
 from planner.errors import InputError, UsageError
-from planner.mcap import MAGIC
+from planner.files import MAGIC
 
 
 @pytest.fixture(autouse=True)

@@ -344,7 +344,7 @@ def test_an_occupancy_grid_lies_by_its_origin(tmp_path: Path, kind: str) -> None
 
 
 @pytest.mark.parametrize("text", ["row,col\n1,0\n1,1\n2,1\n", "1,0\n1,1\n2,1\n", "n,col,row\n7,0,1\n7,1,1\n7,1,2\n",
-                                  "x_m,y_m\n11.9,25.2\n13,25\n13,23\n", "row;col\n1;0\n1;1\n2;1\n",
+                                  "x_m,y_m\n11.9,25.2\n13,25\n13,23\n900,25\n", "row;col\n1;0\n1;1\n2;1\n",
                                   "x_m;y_m\n11,9;25,2\n13;25\n13;23\n"])  # fmt: skip
 def test_visited_cells_in_a_csv_file(tmp_path: Path, text: str) -> None:
     (tmp_path / "c.csv").write_text(text)
@@ -405,7 +405,7 @@ def test_tracks_on_a_georeferenced_map_may_be_in_degrees(tmp_path: Path) -> None
     (tmp_path / "u.csv").write_text((tmp_path / "t.csv").read_text().replace("lon,lat", "lat,lon"))
     with pytest.raises(InputError, match=r"u\.csv: latitude stands first, as in 52\.000.*, 8\.000.*swap"):
         read_state(tmp_path / "u.csv", world)
-    with pytest.raises(InputError, match="has the columns robot, lon, lat; expected row and col, or x and y in metres"):
+    with pytest.raises(InputError, match="in EPSG:4326, and the map has no georeference; give columns x and y"):
         read_state(tmp_path / "t.csv", WORLD)
 
 
@@ -450,9 +450,9 @@ NO_STATES = [
     ("t.csv", "robot,row,col\n", "has a header and no points"),
     ("t.csv", "", "is empty"),
     ("t.csv", "robot,row,col,step\n0,1,2,-3\n", "line 2: step is '-3'"),
-    ("t.csv", "robot,row,col,status\n0,1,2,happy\n", "line 2: status 'happy'; expected idle, done or dead"),
+    ("t.csv", "robot,row,col,status\n0,1,2,happy\n", "line 2: status 'happy'; expected idle, done, dead or lost"),
     ("t.csv", "robot,row,col,status\n0,1,2,dead\n", "every robot is dead"),
-    ("t.csv", "robot,x,y\n0,11,25\n0,900,25\n", "line 3: robot 0 ends off the map or on an obstacle"),
+    ("t.csv", "robot,x,y\n0,11,25\n0,900,25\n", "robot 0 ends off the map or on an obstacle"),
     ("t.csv", "robot,a,b\n0,11,25\n", "has the columns robot, a, b; expected row and col, or x and y in metres"),
     ("t.csv", "robot,row,col\n" + "0,1,1\n" * 131_072, "131073 lines; expected at most 131072"),
     ("t.csv", "robot,row,col\n" + "".join(f"{n},1,1\n" for n in range(1025)), "1025 robots; expected at most 1024"),

@@ -1,6 +1,7 @@
 """What cells are robot_value: estimates, scenario keys, policies."""
 
 import json
+import runpy
 from collections.abc import Callable
 from functools import cache
 from itertools import product
@@ -10,10 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 import yaml
 from conftest import load_fixture, worlds_with_starts
 from drawn_worlds import expected, one_of
-from helpers import play_both_ways
+from helpers import ROOT, play_both_ways
 from hypothesis import given
 from hypothesis import strategies as st
 from page_reader import refused
@@ -552,3 +554,36 @@ def test_mrac_ignores_values() -> None:
 
 def plan_by_value(world: World) -> Plan:
     return make_plan(world, load_fixture("contiguous-14x23-1000-k2").starts, Settings(policy="per_cell"))
+
+
+# `docs/examples/search.py`: drones with a budget search a map of probabilities, and some are lost.
+
+SEARCH = runpy.run_path(str(ROOT / "docs" / "examples" / "search.py"))
+
+
+def test_searching_drones(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Seen pixels by their distance to the paths, losses by their law; survivors see more where budget is left."""
+    rows, cols = np.mgrid[:660, :660] * 30.0 - 9885
+    whole = np.exp(-np.hypot(rows, cols / 2) / 500) * (np.abs(cols - 700) > 150)
+    for name in ("3", "4"):
+        (tmp_path / name).mkdir()
+    np.save(tmp_path / "3" / "heatmap.npy", whole / whole.sum())
+    (tmp_path / "4" / "heatmap.npy").write_text("version https://git-lfs.github.com/spec/v1")
+    SEARCH["main"](str(tmp_path), "0", str(tmp_path / "paths.png"))
+    assert capsys.readouterr().out.count("\n| ") == 5 and (tmp_path / "paths.png").exists()
+    heat = SEARCH["medium"](tmp_path / "3" / "heatmap.npy")
+    search, spare = SEARCH["best"](heat, 5, 60), SEARCH["best"](heat, 3, 300)
+    lines = shapely.MultiLineString([search.metres(path) for path in search.paths])
+    away = shapely.distance(shapely.points(np.mgrid[:120, :120].transpose(1, 2, 0) * 30 + 15), lines)
+    near = SEARCH["seen"](map(search.metres, search.paths), heat.shape)
+    # The points of a path lie up to 15 m apart.
+    assert away[near].max() < SEARCH["SIGHT"] + 1e-9 and near[away < SEARCH["SIGHT"] - 7.5].all()
+    assert all((np.abs(np.diff(path, axis=0)).sum(axis=1) == 1).all() for path in search.paths)
+    assert max(len(path) for path in search.paths) <= 12_000 / search.side + 1
+    assert 0.85 < search.likelihood(search.paths) / SEARCH["swept"](heat, 60) < 1
+    last = search.last_moves(0.3, 4000)
+    assert abs((last > search.moves).mean() - 0.7) < 5 * np.sqrt(0.21 / last.size)
+    cut = [[path[: move + 1] for path, move in zip(search.paths, of, strict=True)] for of in last[:4]]
+    assert search.flown(0.3, 4, "open").tolist() == [search.likelihood(paths) for paths in cut]
+    fixed, closed, again = spare.flown(0.5, 8, "open"), spare.flown(0.5, 8, "closed"), spare.replanned(0.5, 8)
+    assert min(closed.mean(), again.mean()) > fixed.mean() + 0.01 and max(closed.max(), again.max()) <= heat.sum()

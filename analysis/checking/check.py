@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import groupby
 from typing import Literal
 
 import numpy as np
@@ -376,6 +377,12 @@ class Survey(Result):
         return len({entry.seed for entry in self.entries})
 
     @property
+    def formulas(self) -> tuple[set[str], set[str]]:
+        """The formulas of the paper, counting all readings, and ours."""
+        paper, ours = ({row.check.formula for row in self.rows if row.check.about.paper is of} for of in (True, False))
+        return paper, ours
+
+    @property
     def description(self) -> str:
         """ "200 contiguous worlds of 20 x 20 cells"."""
         worlds = counted(self.worlds, f"{self.choices.kind} world")
@@ -386,15 +393,17 @@ class Survey(Result):
         """All formulas, meanings and loops by size of team."""
         return [make_row(robots, found) for _, robots, found in self.grouped()]
 
+    @property
+    def by_key(self) -> list[list[Row]]:
+        """The rows of each formula, meaning and loop."""
+        return [list(rows) for _, rows in groupby(self.rows, lambda row: row.check.key)]
+
     @cached_property
     def failing(self) -> dict[str, Row]:
         """For each of the paper's formulas that fails on some world, the row with the highest rate of failure."""
         fails = [row for row in self.rows if row.verdicts[Verdict.FAILS] and row.check.about.paper]
-        formulas = [key for key in FORMULAS if any(row.check.formula == key for row in fails)]
-        return {
-            key: max((row for row in fails if row.check.formula == key), key=lambda row: row.fails.mean)
-            for key in formulas
-        }
+        by_formula = {key: [row for row in fails if row.check.formula == key] for key in FORMULAS}
+        return {key: max(rows, key=lambda row: row.fails.mean) for key, rows in by_formula.items() if rows}
 
     def grouped(self) -> Iterator[tuple[str, int, list[tuple[int, Check]]]]:
         """(key, robots, [(seed, check)]) in the order of tables."""
@@ -412,13 +421,8 @@ class Survey(Result):
 
     def worst_failures(self) -> dict[str, Row]:
         """For each key that fails on some world, the row of the team with its worst failure."""
-        worst: dict[str, Row] = {}
-        for row in self.rows:
-            if row.check.verdict is Verdict.FAILS:
-                held = worst.get(row.check.key)
-                if held is None or row.check.margin < held.check.margin:
-                    worst[row.check.key] = row
-        return worst
+        failed = [[row for row in rows if row.check.verdict is Verdict.FAILS] for rows in self.by_key]
+        return {rows[0].check.key: min(rows, key=lambda row: row.check.margin) for rows in failed if rows}
 
 
 def make_row(robots: int, found: list[tuple[int, Check]]) -> Row:
@@ -466,17 +470,9 @@ def look_at(choices: SurveyChoices, rollouts: RolloutChoices, seed: int) -> list
     entries, kept = [], AllPairs()
     for robots in choices.teams:
         plan = alone if robots == 1 else plan_team(world, survey_starts(world, robots), choices.settings)
-
-        checked = check_map(
-            world,
-            plan,
-            replace(rollouts, exact=EXACT),
-            partial(_sample, rollouts, world, plan, seed, kept),
-            alone=alone,
-            figures=choices.figures,
-            bound=choices.bound,
-            kept=kept,
-        )
+        soon, sample = replace(rollouts, exact=EXACT), partial(_sample, rollouts, world, plan, seed, kept)
+        many, bound = choices.figures, choices.bound
+        checked = check_map(world, plan, soon, sample, alone=alone, figures=many, bound=bound, kept=kept)
         entries.append(Entry(seed, robots, checked.cells, tuple(checked.rows)))
     return entries
 
@@ -518,7 +514,7 @@ def run_survey(
     return Survey(choices, rollouts, tuple(entries), time.perf_counter() - clock, interrupted)
 
 
-# The charts of a survey's page: rates of failure, and coverage with its bounds.
+# The charts of a survey: rates of failure, coverage with its bounds, and every bound against the truth.
 
 DRAWN = {
     "eq7_team/visited/closed": "upper bound, one robot, eq. (7)",
@@ -537,14 +533,10 @@ def failing(survey: Survey) -> Chart:
         rows = [row for row in survey.rows if row.check.key == most.check.key]
         series.append(Series.of(most.check.named, [row.robots for row in rows], [row.fails for row in rows]))
     return Chart(
-        title="How often the paper's formulas fail",
-        series=tuple(series),
-        x_name="robots",
-        y_name="share of the worlds on which it fails, %",
-        unit="%",
-        y_range=(0, 100),
+        "How often the paper's formulas fail", tuple(series), "robots", "share of the worlds on which it fails, %",
+        unit="%", y_range=(0, 100),
         note="Of the worlds where the formula is defined, in the meaning and loop in which it fails most.",
-    )
+    )  # fmt: skip
 
 
 def coverage(survey: Survey) -> Chart:
@@ -561,12 +553,45 @@ def coverage(survey: Survey) -> Chart:
         if key in means
     ]
     return Chart(
-        title="Coverage, and formulas for its bounds",
-        series=tuple(series),
-        x_name="robots",
-        y_name="mean over the worlds, % of the accessible cells",
-        unit="%",
-        y_range=(0, 100),
-        at_y=((100.0, "every cell"),),
-        interval="95 % interval of the mean over worlds",
-    )
+        "Coverage, and formulas for its bounds", tuple(series), "robots",
+        "mean over the worlds, % of the accessible cells", unit="%", y_range=(0, 100),
+        at_y=((100.0, "every cell"),), interval="95 % interval of the mean over worlds",
+    )  # fmt: skip
+
+
+PANELS = (
+    "eq2_printed/open",
+    "eq5_printed/survived/open",
+    "eq5_with_c00/survived/open",
+    "theorem3_interior_set/visited/open",
+    "theorem3_travel_set/visited/open",
+    "theorem3_interior_multiset/visited/open",
+    "mended_count/visited/open",
+    "mended_largest/visited/open",
+    "mended_spread/visited/open",
+    "eq7_team/visited/closed",
+    "ideal_connected/visited/closed",
+)
+"""Keys of the panels, bound against truth."""
+
+
+def bound_charts(survey: Survey) -> list[Chart]:
+    """A chart for each of PANELS, a point for each world and team, in the formula's unit."""
+    charts, points = [], {(key, robots): np.array([(check.truth.value, check.value) for _, check in found])
+                          for key, robots, found in survey.grouped()}  # fmt: skip
+    for key in PANELS:
+        about, (_, *meaning, loop) = FORMULAS[key.partition("/")[0]], key.split("/")
+        found = {place: points[key, k] for place, k in enumerate(survey.choices.teams) if (key, k) in points}
+        truths = np.concatenate([np.empty(0), *(pairs[:, 0] for pairs in found.values())])
+        ends = [truths.min(), truths.max()] if len(truths) else []
+        series = [Series("value = truth", ends, ends, dashed=True, colour=3)]
+        for place, pairs in found.items():
+            # A point below a third of the axis would hide the others: a bound far below is worthless, however far.
+            values = np.maximum(pairs[:, 1], -1.2 * truths.max())
+            team = counted(survey.choices.teams[place], "robot")
+            series.append(Series(team, pairs[:, 0], values, kind="points", colour=place))
+        title = about.title + ("" if about.paper else " *")
+        about_it = f"{about.direction}; {meaning[0] if meaning else 'a robot survives'}, {loop} loop"
+        about_it += "" if len(truths) else ": undefined"
+        charts.append(Chart(title, tuple(series), "truth", about_it, fit=True))
+    return charts

@@ -2,41 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sized
+from collections.abc import Callable, Sized
 from fractions import Fraction
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
 from rich.table import Table
 
 from analysis.checking.check import (
     MapCheck,
     Row,
     Survey,
+    bound_charts,
+    coverage,
+    failing,
     survey_starts,
     survey_world,
 )
-from analysis.page.elements import Chart
+from analysis.page.elements import Chart, Series
 from analysis.report.model import CellMaps, KeyFigure, Report, Section
 from analysis.report.result import asked, map_text
 from analysis.statistics.estimates import ALPHA, between
 from analysis.theory.verdicts import FORMULAS, Check, Direction, Truth, Verdict, badness, overall
-from analysis.utils.tables import Column, csv_text, make_table, table_of
+from analysis.utils.tables import Column, csv_text, table_of
 from planner.arguments import argument
 from planner.formatting import counted, in_percent, percent
-from planner.json_objects import as_json
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 DIGITS = {"cells": 2, "chance": 4, "steps": 0}
 """Decimals of a value in its unit."""
 SAYS = {
-    Direction.LOWER: "at least",
-    Direction.UPPER: "at most",
-    Direction.EQUAL: "exactly",
-    Direction.EVERY_RUN: "in every run, chance",
+    Direction.LOWER: ("at least", ">="),
+    Direction.UPPER: ("at most", "<="),
+    Direction.EQUAL: ("exactly", "="),
+    Direction.EVERY_RUN: ("in every run, chance", "every"),
 }
+"""Relation of the truth to a value, in a sentence and in a table."""
 
 
 UNCERTAIN = {Verdict.VACUOUS: "say nothing", Verdict.UNDECIDED: "are undecided"}
@@ -47,15 +48,15 @@ def check_report(checked: MapCheck) -> Report:
     """The report of one map: all formulas in a table, their subject cell by cell, one scale in the picture."""
     return Report(
         "check", "check", asked(checked.world, len(checked.plan.robots), "which formulas hold?"),
-        check_headline(checked), partial(as_json, checked),
+        check_headline(checked), checked,
         findings=_check_findings(checked), figures=_check_key_figures(checked), heading=_check_heading(checked),
         parts=(
             Section("Every formula", [_check_table(checked)], _check_footnotes(checked)),
             Section("Cell by cell", figures=lambda: [_maps(checked)],
                  intro="The open loop, exact: the subject of the formulas."),
         ),
-        warnings=_warnings(checked), settings=_settings(checked), pictures={"check.png": lambda: _picture(checked)},
-        faults=checked.faults,
+        warnings=_warnings(checked), settings=_settings(checked), faults=checked.faults,
+        pictures={"check.png": lambda: [_formula_chart(checked)]},
     )  # fmt: skip
 
 
@@ -152,17 +153,13 @@ def _check_table(checked: MapCheck) -> Table:
         Column("statement", lambda checks: checks[0].about.plain, words=True),
         Column("source", lambda checks: checks[0].about.title if checked.theory == "all" else checks[0].about.source,
                words=True),
-        Column("says", lambda checks: _says(checks[0]), words=True),
+        Column("says", lambda checks: SAYS[checks[0].about.direction][1], words=True),
         Column("of", lambda checks: _of(checks[0]), words=True),
         Column("value", lambda checks: figure(checks[0].value, checks[0].about.unit)),
         Column("open loop", truth("open", "nominal")),
         Column("closed loop", truth("closed")),
     )  # fmt: skip
     return table_of(columns, _check_rows(checked), "Formulas against the truth", **look)
-
-
-def _says(check: Check) -> str:
-    return {"lower bound": ">=", "upper bound": "<=", "equality": "=", "in every run": "every"}[check.about.direction]
 
 
 def _of(check: Check) -> str:
@@ -225,7 +222,7 @@ def _check_findings(checked: MapCheck) -> list[str]:
     for check in (check for checks in _check_rows(checked) for check in checks):
         if check.verdict is Verdict.FAILS:
             unit = "" if check.about.unit == "chance" else f" {check.about.unit}"
-            said = f"{SAYS[check.about.direction]} {check.value:.4g}{unit}"
+            said = f"{SAYS[check.about.direction][0]} {check.value:.4g}{unit}"
             out.append(
                 f"{check.named} fails: it says {said}, the truth is {format_truth(check.truth, check.about.unit)}."
             )
@@ -240,10 +237,29 @@ def _maps(checked: MapCheck) -> CellMaps:
     return CellMaps(world, plan.starts, layers)
 
 
-def _picture(checked: MapCheck) -> Figure:
-    from analysis.checking.pictures import check_figure
-
-    return check_figure(checked)
+def _formula_chart(checked: MapCheck) -> Chart:
+    """The formulas in cells on one scale, marked by their verdicts, and the truths of both loops as lines."""
+    checks = [c for c in checked.rows if c.about.unit == "cells" and c.meaning == "visited" and c.robot is None]
+    marked = {True: "", False: " *"}
+    names = {c.formula: f"{SAYS[c.about.direction][1]} {c.about.title}{marked[c.about.paper]}" for c in checks[::-1]}
+    row, cells, truths = {formula: place for place, formula in enumerate(names)}, checked.cells, checked.exact.visited
+    lines = [(0.0, "none"), (float(cells), "every cell"), (truths, "open loop, exact")]
+    if (closed := checked.closed) is not None:
+        lines.append((closed.visited.value, f"closed loop, {'sampled' if closed.rollouts else 'exact'}"))
+    series = []
+    for colour, verdict in zip((None, 5, 0, 3), Verdict, strict=True):
+        shown = [c for c in checks if c.verdict is verdict]
+        # Values far outside 0 .. cells would compress the scale.
+        at = np.clip([c.value for c in shown], -0.35 * cells, 1.35 * cells)
+        rows = [row[c.formula] + {"open": 0.17, "closed": -0.17}.get(c.loop, 0.0) for c in shown]
+        series.append(Series(verdict, at, rows, kind="points", colour=colour))
+    failing = {c.formula for c in checked.checks if c.verdict is Verdict.FAILS and c.about.paper}
+    title = f"{counted(len(failing), 'formula')} of the paper fail{'s' * (len(failing) == 1)} on this map"
+    below = f"{counted(len(checked.plan.robots), 'robot')}; upper mark: against the open loop, lower: the closed loop"
+    return Chart(
+        title, tuple(series), "expected cells visited (marks at the edge: farther out)", f"{below}; * ours, proven",
+        at_x=tuple(lines), y_words=tuple(names.values()),
+    )  # fmt: skip
 
 
 def _settings(checked: MapCheck) -> dict[str, object]:
@@ -265,7 +281,7 @@ def survey_report(survey: Survey) -> Report:
     """The report of a survey: rates of failure; coverage and its bounds by size of team; all comparisons as CSV."""
     return Report(
         "survey", "check --worlds", f"{survey.description}: which formulas hold?", survey_headline(survey),
-        partial(as_json, survey),
+        survey,
         findings=_survey_findings(survey), figures=_survey_key_figures(survey), heading=_survey_heading(survey),
         parts=(
             Section("By size of the team", figures=lambda: _charts(survey)),
@@ -275,7 +291,8 @@ def survey_report(survey: Survey) -> Report:
         warnings=(f"Interrupted after {counted(survey.worlds, 'world')}.",) if survey.partial else (),
         settings=survey.choices.settings.described(), took=[f"{survey.seconds:.0f} s"],
         again="World number i has the seed of the first plus i. The number of processes does not change the result.",
-        pictures={"bound_against_truth.png": partial(_bounds, survey), "over_robots.png": partial(_charts, survey)},
+        pictures={"bound_against_truth.png": partial(bound_charts, survey),
+                  "over_robots.png": partial(_charts, survey)},
         files={"survey.csv": lambda: _csv(survey), **_worst(survey)},
         faults=survey.faults,
     )  # fmt: skip
@@ -283,7 +300,7 @@ def survey_report(survey: Survey) -> Report:
 
 def survey_headline(survey: Survey) -> str:
     """The summary: the paper's formulas that fail on some world, and whether a proven one fails."""
-    paper, ours = ({row.check.formula for row in survey.rows if row.check.about.paper is of} for of in (True, False))
+    paper, ours = survey.formulas
     worlds = counted(survey.worlds, f"{survey.choices.kind} world")
     said = (
         f"{len(survey.failing)} of the paper's {len(paper)} formulas, counting all readings, "
@@ -308,25 +325,16 @@ def _survey_heading(survey: Survey) -> list[str]:
 
 def _survey_table(survey: Survey, title: str, cell: Callable[[Row], str]) -> Table:
     """A row for each formula, meaning and loop, a column for each size of team."""
-    teams = survey.choices.teams
-    names = ("formula", "of", *(f"k = {k}" for k in teams))
-    table = make_table(names, title, left=("formula", "of"), padding=(0, 1, 0, 0))
-    for name, of, cells in _survey_rows(survey, cell):
-        table.add_row(name, of, *cells)
-    return table
 
+    def team(k: int) -> Column:
+        return Column(f"k = {k}", lambda rows: next((cell(row) for row in rows if row.robots == k), ""))
 
-def _survey_rows(survey: Survey, cell: Callable[[Row], str]) -> Iterator[tuple[str, str, list[str]]]:
-    """(formula, meaning and loop, a cell for each size of team)."""
-    by_key: dict[str, dict[int, Row]] = {}
-    for row in survey.rows:
-        by_key.setdefault(row.check.key, {})[row.robots] = row
-    for found in by_key.values():
-        first = next(iter(found.values())).check
-        about = FORMULAS[first.formula]
-        of = f"{first.meaning}, {first.loop}" if first.meaning else first.loop
-        cells = [cell(found[k]) if k in found else "" for k in survey.choices.teams]
-        yield about.title + ("" if about.paper else " *"), of, cells
+    columns = (
+        Column("formula", lambda rows: rows[0].check.about.title + " *" * (not rows[0].check.about.paper), words=True),
+        Column("of", lambda rows: ", ".join(filter(None, (rows[0].check.meaning, rows[0].check.loop))), words=True),
+        *map(team, survey.choices.teams),
+    )
+    return table_of(columns, survey.by_key, title, padding=(0, 1, 0, 0))
 
 
 def _shares(row: Row) -> str:
@@ -364,8 +372,7 @@ def _survey_footnotes(survey: Survey) -> list[str]:
 
 
 def _survey_key_figures(survey: Survey) -> tuple[KeyFigure, ...]:
-    rows, failing = survey.rows, survey.failing
-    paper, ours = ({row.check.formula for row in rows if row.check.about.paper is of} for of in (True, False))
+    rows, failing, (paper, ours) = survey.rows, survey.failing, survey.formulas
     return (
         KeyFigure(f"{len(failing)} of {len(paper)}", "of the paper's formulas fail somewhere", "counting all readings"),
         KeyFigure(f"{len({one.check.formula for one in survey.faults})}", "proven formulas fail",
@@ -404,15 +411,7 @@ def _csv(survey: Survey) -> str:
 
 
 def _charts(survey: Survey) -> tuple[Chart, Chart]:
-    from analysis.checking.check import coverage, failing
-
     return failing(survey), coverage(survey)
-
-
-def _bounds(survey: Survey) -> list[Chart]:
-    from analysis.checking.pictures import bound_charts
-
-    return bound_charts(survey)
 
 
 def _worst(survey: Survey) -> dict[str, Callable[[], bytes]]:

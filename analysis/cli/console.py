@@ -246,29 +246,16 @@ def load_or_make_plan(
 def print_plan(made: Plan, world: World, console: Console) -> None:
     """Print the plan; survival probabilities are those of the nominal paths."""
     from analysis.theory.exact import open_loop_exact
-    from analysis.utils.tables import failure_text, make_table, plan_text, span_text
-    from planner.formatting import counted, in_percent
-    from planner.plan.plan import drive_of
+    from analysis.utils.tables import failure_text, plan_text, robots_table, span_text
+    from planner.formatting import counted
 
-    said = made.origin
-    if not made.is_external:
-        said = plan_text(made)
+    said = made.origin if made.is_external else plan_text(made)
     lost = 0 if made.state is None else made.state.lost
     team = f"{counted(len(made.robots), 'robot')}{f' ({lost} lost before)' if lost else ''}"
     console.print(f"{team}, {said}, {span_text(made, world.pace)}", highlight=False)
     if made.settings is not None and made.settings.deadline is not None:
-        console.print(
-            f"The mission ends at {world.pace.step(made.settings.deadline)}, whatever is left.", highlight=False
-        )
+        end = world.pace.step(made.settings.deadline)
+        console.print(f"The mission ends at {end}, whatever is left.", highlight=False)
     if means := failure_text(made, world):
         console.print(f"Robots: {means}.", highlight=False)
-    drive = drive_of(robot.path for robot in made.robots)
-    table = make_table(("robot", "start", "moves", "quarter turns", "areas covered", "survives its path, %"))
-    for number, (robot, chance) in enumerate(zip(made.robots, open_loop_exact(made, world).survival, strict=True)):
-        start = divmod(int(robot.path[0]), made.shape[1])
-        covered = "" if made.is_external else str(sum(leg.kind == "cover" for leg in robot.legs))
-        survival = in_percent(chance, 2)
-        table.add_row(
-            str(number), str(list(start)), str(drive.moves[number]), str(drive.turns[number]), covered, survival
-        )
-    console.print(table)
+    console.print(robots_table(made, open_loop_exact(made, world).survival))

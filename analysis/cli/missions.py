@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from planner.formatting import Pace
 
 DRIVE, RECORD, TRACKS = "Drive", "Record", "Tracks"
-ALTITUDE = option(OUTPUT, "qgc: metres above take-off, 0 for ground robots (default: 20).", "number")
+ALTITUDE = option(OUTPUT, "qgc, wpml: metres above take-off, 0 for ground robots (default: 20).", "number")
 
 
 @command(
@@ -38,7 +38,8 @@ ALTITUDE = option(OUTPUT, "qgc: metres above take-off, 0 for ground robots (defa
 )  # fmt: skip
 def plan(source: INPUT, /, given: Given) -> int:
     """The plan of a team: print it, and write it as a file or as waypoints."""
-    from analysis.exporting import choose_format, export, make_mission
+    from analysis.exporting import choose_format
+    from analysis.exporting import export as write
     from analysis.inputs import read_files
 
     out, waypoints, state = given.out, given.waypoints, given.state
@@ -52,9 +53,10 @@ def plan(source: INPUT, /, given: Given) -> int:
     world, made = given.planned(source, seconds=given.seconds, first=first)
     written = [] if out is None else [out]
     if waypoints is not None and form is not None:
-        mission = make_mission(world, made, given.altitude, given.speed)
-        written += export(mission, waypoints, form, spare=read_files(source, state, out))
-        say(mission.unknown(form.figures))
+        spare = read_files(source, state, out)
+        files, notes = write(world, made, waypoints, form, given.altitude, given.speed, spare=spare)
+        written += files
+        say(notes)
     if out is not None:
         made.save(out, force=True)
     if given.json:
@@ -66,26 +68,27 @@ def plan(source: INPUT, /, given: Given) -> int:
 
 
 @command(
-    DRIVE, api.export, THE_TEAM, PLANNING, "deadline plan state", "Output: to altitude",
+    DRIVE, api.export, THE_TEAM, PLANNING, "deadline plan state", "Output: to altitude terrain battery",
     policy=ANY_POLICY,
     plan="Export this plan file instead of planning.",
     out=of("out", help="File or folder to write.", default=...),
 )  # fmt: skip
 def export(source: INPUT, /, given: Given) -> int:
-    """A plan as a file for ground stations, nav2 and GIS.
+    """A plan as a file for ground stations, DJI drones, TAK, nav2 and GIS.
 
-    qgc and nav2 write one file per robot: FILE-0.plan, FILE-1.plan, or robot-0.plan in a folder. All but nav2, csv and
-    geotiff need a georeferenced map. Robots of qgc drive at --speed, or a cell per --step-seconds (default: 3 m/s).
+    qgc, nav2 and wpml write one file per robot: FILE-0.plan, FILE-1.plan, or robot-0.plan in a folder. All but nav2,
+    nav2_route, csv and geotiff need a georeferenced map. Robots move at --speed, or a cell per --step-seconds (default:
+    3 m/s).
     """
-    from analysis.exporting import choose_format, make_mission
-    from analysis.exporting import export as export_mission
+    from analysis.exporting import choose_format
+    from analysis.exporting import export as write
     from analysis.inputs import read_files
 
     form = choose_format(given.out, given.to)
-    world, made = given.planned(source)
-    mission = make_mission(world, made, given.altitude, given.speed)
-    written = export_mission(mission, given.out, form, spare=read_files(source, given.plan, given.state))
-    say([*mission.unknown(form.figures), *(f"wrote {file}" for file in written)])
+    spare = read_files(source, given.plan, given.state, given.terrain)
+    flown = given.altitude, given.speed, given.terrain, given.battery
+    files, notes = write(*given.planned(source), given.out, form, *flown, spare=spare)
+    say([*notes, *(f"wrote {file}" for file in files)])
     return console.DONE
 
 

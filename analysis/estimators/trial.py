@@ -5,10 +5,10 @@ A search compares like with like: all results are exact, or all are on the same 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -206,8 +206,47 @@ Between = tuple[float, float]
 """Certain lower and upper bounds of a figure."""
 
 
+class _Compared:
+    """What the two kinds of result share: coverage, losses and time of a team, and the figure that is compared."""
+
+    metric: str
+    json_keys = "coverage losses time"
+
+    if TYPE_CHECKING:
+        mean: Callable[..., Estimate]
+        ahead: Callable[..., Estimate]
+        largest: Callable[[str], float]
+
+        @property
+        def valued(self) -> bool: ...
+
+    @property
+    def counted(self) -> str:
+        """The figure that is compared: visited value if the map has values, else cells."""
+        return "value" if self.valued and self.metric == "visited" else self.metric
+
+    @property
+    def coverage(self) -> Estimate:
+        """Mean visited coverage, a fraction of the accessible cells."""
+        return self.mean("visited", 1.0 / self.largest("visited"))
+
+    @property
+    def losses(self) -> Estimate:
+        """Mean number of robots lost."""
+        return self.mean("lost")
+
+    @property
+    def time(self) -> Estimate:
+        """Mean number of steps."""
+        return self.mean("time")
+
+    def covers_more(self, base: Measured) -> Estimate:
+        """Mean visited coverage minus that of `base`, a fraction of the accessible cells."""
+        return self.ahead(base, "visited", 1.0 / self.largest("visited"))
+
+
 @dataclass(frozen=True, eq=False)
-class Known:
+class Known(_Compared):
     """Exact figures: "visited" and "survived" cells, robots "alive" and "lost", "time" in steps, share of "value".
 
     Attributes:
@@ -220,11 +259,6 @@ class Known:
     metric: str = "visited"
     rollouts = 0
     exact = certain = True
-
-    @property
-    def counted(self) -> str:
-        """The figure that is compared: visited value if the map has values, else cells."""
-        return "value" if self.valued and self.metric == "visited" else self.metric
 
     @property
     def valued(self) -> bool:
@@ -303,7 +337,7 @@ def stated(between: Between, unit: float, most: float) -> Estimate:
 
 
 @dataclass(frozen=True, eq=False)
-class Sampled:
+class Sampled(_Compared):
     """The same figures from rollouts, with the control variate in the closed loop.
 
     Attributes:
@@ -330,11 +364,6 @@ class Sampled:
     def rollouts(self) -> int:
         """Number of rollouts."""
         return self.tally.rollouts
-
-    @property
-    def counted(self) -> str:
-        """As in `Known`."""
-        return "value" if self.valued and self.metric == "visited" else self.metric
 
     @cached_property
     def share(self) -> float:

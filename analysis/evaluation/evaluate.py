@@ -123,7 +123,7 @@ class Evaluation(Result):
         *figures alive.mean=figures.alive.mean time.max=longest losses.exact=exact_losses shown.some_left
         control=control_facts bounds=formulas bounds.any_strategy=bounds.any_strategy.cells verdicts=map_verdicts
         exact.open_loop=closed_form exact.closed_loop=closed_facts exact.alive=exact.alive exact.time=exact.time
-        plan=plan_facts rollouts_per_second compile_seconds advice=no_advice movers?=world.movers phases?=world.phases
+        plan=plan_facts rollouts_per_second compile_seconds movers?=world.movers phases?=world.phases
         *outputs_json notes?
     """
 
@@ -203,14 +203,10 @@ class Evaluation(Result):
         return self.tally.rollouts / self.seconds if self.seconds > 0 else None
 
     @property
-    def no_advice(self) -> None:
-        """The value of `advice` without that output."""
-
-    @property
     def outputs_json(self) -> Json:
-        """The values of the outputs by key."""
+        """The values of the outputs by key; `advice` is None without that output."""
         found = {name: as_json(output) for name, output in self.outputs.items()}
-        return {name: value for name, value in found.items() if value is not None}
+        return {"advice": None} | {name: value for name, value in found.items() if value is not None}
 
     def with_outputs(self, more: Mapping[str, Output], partial: bool) -> Evaluation:
         """The same evaluation with further outputs; cached values are kept."""
@@ -352,10 +348,8 @@ class Evaluation(Result):
             cells, rest = (closed.visited.value, closed.survived.value), (closed.alive, closed.time)
         else:
             open_loop = self.closed_form
-            cells, rest = (
-                (open_loop.visited, open_loop.survived),
-                (float(open_loop.survival.sum()), open_loop.mean_time),
-            )
+            cells = open_loop.visited, open_loop.survived
+            rest = float(open_loop.survival.sum()), open_loop.mean_time
         visited, survived = (Amount.of(value, self.tally.accessible) if isfinite(value) else None for value in cells)
         alive, time = (value if value is not None and isfinite(value) else None for value in rest)
         return Known(visited, survived, alive, time)
@@ -413,7 +407,8 @@ class Evaluation(Result):
     @property
     def has_danger(self) -> bool:
         """Whether the plan meets any danger: if not, all runs are nominal in both loops."""
-        return float(self.closed_form.stops_by_cell.sum()) > 0  # a sum, because any probability above 0 counts
+        # A sum, because any probability above 0 counts; NaN where it is not known, as among moving threats.
+        return float(self.closed_form.stops_by_cell.sum()) != 0
 
     @property
     def losses(self) -> Losses:
@@ -481,6 +476,7 @@ OUTPUTS: dict[str, type[Output]] = {
 
 FINE_SECONDS = 0.2
 """Seconds for growing a tree to a precision at which rollouts add nothing."""
+IN_JAX = "cells delivered are not counted in JAX: use {}"
 TO_LOOK_AT, CONTENT = 8 * FIRST_LOOK, {"band", "advice", "marginal_risk"}
 """Rollouts when the tree is complete, and the outputs for which that number is sufficient."""
 
@@ -560,7 +556,7 @@ def evaluate(
         partial=partial,
         notes=(
             *cut_off(world, last.tally, plan),
-            *not_counted(last, plan),
+            *[IN_JAX.format(argument("engine", "numba"))] * (plan.comes_home and last.engine == "jax"),
             *(() if partial else too_few(last, rolled)),
         ),
         certain=certain,
@@ -630,12 +626,6 @@ def cut_off(world: World, tally: Tally, plan: Plan) -> tuple[str, ...]:
         f"{count:,} of {counted(tally.rollouts, 'rollout')} {'was' if count == 1 else 'were'} cut off at the step limit"
     )
     return (f"{cut}: raise {argument('max_steps')}",)
-
-
-def not_counted(last: Stage, plan: Plan) -> tuple[str, ...]:
-    """A note if robots return to base and the engine does not count cells delivered."""
-    said = f"cells delivered are not counted in JAX: use {argument('engine', 'numba')}"
-    return (said,) if plan.comes_home and last.engine == "jax" else ()
 
 
 def too_few(last: Stage, choices: RolloutChoices) -> tuple[str, ...]:

@@ -42,6 +42,7 @@ from analysis.utils.tables import Column, in_percents, table_of
 from planner.arguments import FRACTION
 from planner.files import Json
 from planner.formatting import Pace, Rows, html_of, in_percent, inside, percent, text_of
+from planner.json_objects import as_json
 from planner.plan.plan import Plan
 from planner.rollouts.exact_tree import WHOLE, Tree
 from planner.rollouts.tables import AllPairs
@@ -636,8 +637,8 @@ class Output(ABC):
         """Yield the output, possibly first in part; each replaces the one before. `asked`: the option's value."""
 
     def to_json(self) -> object:
-        """Its value in the JSON object; None: omitted."""
-        return None
+        """Its value in the JSON object, by the keys that its class declares; None: omitted."""
+        return as_json(self) if hasattr(self, "json_keys") else None
 
     def elements(self) -> Elements:
         """Its elements of the report."""
@@ -647,34 +648,22 @@ class Output(ABC):
 # Teams on common random numbers with the evaluated team: the same figures, table and sentence for all of them.
 
 
-def team_unit(found: Measured) -> float:
-    """Factor that turns cells into fractions of the accessible cells."""
-    return 1.0 / found.largest("visited")
-
-
-def team_json(found: Measured) -> Json:
-    """Coverage, losses and time of a team."""
-    unit = team_unit(found)
-    return {"coverage": found.mean("visited", unit), "losses": found.mean("lost"), "time": found.mean("time")}
-
-
 def team_table(title: str, teams: Mapping[str, Measured], *more: Column) -> Table:
     """A row for each team by name; `more`: columns after its coverage."""
     columns = (
         Column("team", lambda name: name),
-        in_percents("visited %", lambda name: teams[name].mean("visited", team_unit(teams[name])), "95 %"),
+        in_percents("visited %", lambda name: teams[name].coverage, "95 %"),
         *more,
-        Column("lost", lambda name: teams[name].mean("lost")),
-        Column("steps", lambda name: f"{teams[name].mean('time').mean:.1f}"),
+        Column("lost", lambda name: teams[name].losses),
+        Column("steps", lambda name: f"{teams[name].time.mean:.1f}"),
     )
     return table_of(columns, teams, title)
 
 
 def against(subject: str, found: Measured, team: Measured) -> str:
     """ "With a known map: 82.0 % visited, 4.1 points ± 0.2 (95 %) more than this team."."""
-    share = percent(found.mean("visited", team_unit(found)).mean)
-    more = found.ahead(team, "visited", team_unit(team)).more(100, " points", ("more", "less"))
-    return f"{subject}: {share} visited, {more} than this team."
+    more = found.covers_more(team).more(100, " points", ("more", "less"))
+    return f"{subject}: {percent(found.coverage.mean)} visited, {more} than this team."
 
 
 def coverage_row(name: str, covered: Covered, of: int, exact: float) -> Row:

@@ -19,16 +19,14 @@ from analysis.evaluation.tables import (
     formulas_part,
     over_time,
     over_time_text,
-    robots_table,
     worst_cells,
 )
 from analysis.report.model import KeyFigure, Pictured, Report, Section
 from analysis.report.result import asked, team_figure
 from analysis.statistics.estimates import Estimate, between, in_unit, robots_text
 from analysis.theory.upper_bound import moves_left
-from analysis.utils.tables import json_text, plan_text, policy_text, span_text, without_level
+from analysis.utils.tables import json_text, plan_text, policy_text, robots_table, span_text, without_level
 from planner.formatting import ceiled, counted, floored, percent, share
-from planner.json_objects import as_json
 from planner.rollouts.tables import STUCK_AFTER
 from planner.simulator.codes import Outcome
 
@@ -227,6 +225,9 @@ def remainder_text(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
             yield f"In the run without losses, {rest.ended} of {robots} use up their range and stay where they are."
 
 
+ROBOTS = "Robots of the plan, and the chance that each ends its path"
+
+
 def report(evaluation: Evaluation, theory: bool = False, bounds: bool = True) -> Report:
     """The report of an evaluation: the answer with the map and the plan, the figures, the details.
 
@@ -248,7 +249,7 @@ def report(evaluation: Evaluation, theory: bool = False, bounds: bool = True) ->
         Section("Single runs", figures=lambda: distribution(evaluation), intro="How far one run may be from the mean."),
         Section("Cell by cell", notes=() if certain else list(cells_text(evaluation)),
                 figures=lambda: [charts.maps(evaluation)], whole=worst_cells(evaluation)),
-        Section("Robots", [robots_table(evaluation)], page_only=True),
+        Section("Robots", [robots_table(plan, evaluation.closed_form.survival, ROBOTS)], page_only=True),
     ]  # fmt: skip
     if rest is not None:
         parts.insert(1, Section(rest.title, notes=list(remainder_text(evaluation, rest)),
@@ -259,7 +260,7 @@ def report(evaluation: Evaluation, theory: bool = False, bounds: bool = True) ->
     inputs = _inputs(evaluation)
     return Report(
         "evaluation", "evaluate", asked(world, len(plan.robots), "how much is covered?"), headline(evaluation),
-        partial(as_json, evaluation), list(filter(None, said)), _key_figures(evaluation),
+        evaluation, list(filter(None, said)), _key_figures(evaluation),
         picture=lambda: charts.plan_map(evaluation), below=lambda: evaluation.added("below"), parts=parts,
         notes=evaluation.notes, warnings=["Interrupted: the rollouts done so far are shown."] * evaluation.partial,
         settings=inputs | _settings(evaluation),

@@ -20,7 +20,6 @@ from analysis.theory.bounds import Theorem3
 from analysis.theory.verdicts import FORMULAS, MEANINGS, Verdict
 from analysis.utils.tables import Column, make_table, table_of
 from planner.formatting import at_least_text, counted, percent
-from planner.plan.plan import drive_of
 from planner.simulator.codes import Outcome
 
 if TYPE_CHECKING:
@@ -52,10 +51,8 @@ def answer_tables(evaluation: Evaluation) -> list[Table]:
 def _table(evaluation: Evaluation, title: str, columns: Sequence[str], rows: Sequence[Row]) -> Table:
     """A table with a column of names, `columns`, and the open loop's exact values (last in the closed loop)."""
     first = evaluation.loop == "open"
-    table = make_table(("", *(("exact", *columns) if first else (*columns, "open loop"))), title)
-    for name, exact, shown in rows:
-        table.add_row(name, *((exact, *shown) if first else (*shown, exact)))
-    return table
+    cells = ((name, exact, *shown) if first else (name, *shown, exact) for name, exact, shown in rows)
+    return make_table(("", *(("exact", *columns) if first else (*columns, "open loop"))), title, cells)
 
 
 def _shown_figures(evaluation: Evaluation) -> Figures:
@@ -116,23 +113,6 @@ def worst_of(lost: NDArray[np.float64], most: int) -> NDArray[np.int64]:
     """The cells `[up to most]` with the highest losses, in descending order; ties by index."""
     order = np.argsort(-lost, kind="stable")[:most]
     return order[lost[order] > 0]
-
-
-def robots_table(evaluation: Evaluation) -> Table:
-    """A row for each robot; its survival is that of its nominal path."""
-    plan, survival = evaluation.plan, evaluation.closed_form.survival.tolist()
-    drive = drive_of(robot.path for robot in plan.robots)
-    columns = (
-        Column("robot", lambda k: k, words=True),
-        Column("start [row, col]", lambda k: list(divmod(int(plan.robots[k].path[0]), plan.shape[1]))),
-        Column("moves", lambda k: f"{drive.moves[k]:,}"),
-        Column("quarter turns", lambda k: f"{drive.turns[k]:,}"),
-        Column("areas covered", lambda k: "" if plan.is_external
-               else sum(leg.kind == "cover" for leg in plan.robots[k].legs)),
-        Column("survives its nominal path", lambda k: "not known" if math.isnan(survival[k])
-               else percent(survival[k], 2)),
-    )  # fmt: skip
-    return table_of(columns, range(len(plan.robots)), "Robots of the plan, and the chance that each ends its path")
 
 
 # The paper's formulas for an evaluated plan, compared with the open loop's exact values.

@@ -38,6 +38,8 @@ from planner.errors import visible
 
 HIGH, ABOVE, ENTRY = 2.4, 0.85, 0.19
 """Inches: height of a chart, space above it, height of a line of its legend."""
+NAMED, ROW = 1.95, 0.24
+"""Inches: space for labels of y, and height of each."""
 ON_PAGE = 5.4
 """Inches: width of a chart on a page, where a CSS pixel is 1/72 inch or more."""
 LETTERS, SMALLER = 95, 125
@@ -57,14 +59,16 @@ PAGE_COLOURS = {INK: "var(--ink)", FAINT: "var(--faint)", GRID: "var(--line)", P
 def charts_figure(charts: Sequence[Chart]) -> Figure:
     """The charts in one figure, two or three in a row; bars and bands are 95 % intervals unless stated otherwise."""
     across = min(len(charts), 2 if len(charts) <= 4 else 3)
-    wide = (WIDTH - 0.75 * across - 0.2) / across
+    labels = max(len(chart.y_words) for chart in charts)
+    high, named = max(HIGH, ROW * labels), NAMED * bool(labels)
+    wide = (WIDTH - (0.75 + named) * across - 0.2) / across
     below = 0.65 + ENTRY * max(len((*chart.series, *chart.at_x, *chart.at_y)) for chart in charts)
     rows = ceil(len(charts) / across)
-    figure = new_figure((WIDTH, rows * (ABOVE + HIGH + below)))
+    figure = new_figure((WIDTH, rows * (ABOVE + high + below)))
     for number, chart in enumerate(charts):
         row, column = divmod(number, across)
-        bottom = (rows - 1 - row) * (ABOVE + HIGH + below) + below
-        axes = figure.add_axes(inches(figure, (0.65 + column * (wide + 0.75), bottom, wide, HIGH)))
+        bottom, left = (rows - 1 - row) * (ABOVE + high + below) + below, 0.65 + named + column * (wide + 0.75 + named)
+        axes = figure.add_axes(inches(figure, (left, bottom, wide, high)))
         shown = _draw(axes, chart)
         share = axes.get_position().width
         interval = f"; {chart.interval}" if any(one.low is not None for one in shown) else ""
@@ -143,11 +147,15 @@ def _draw(axes: Axes, chart: Chart) -> list[Series]:
     axes.set_xlabel(visible(chart.x_name), loc="right", labelpad=2)
     if unit := visible(chart.unit):
         axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g} {unit}"))
-    if shown:
+    if chart.y_words:
+        axes.set_yticks(range(len(chart.y_words)), map(visible, chart.y_words))
+        axes.set_ylim(-0.6, len(chart.y_words) - 0.4)
+    elif shown:
         axes.set_ylim(*_y_range(chart, shown))
     axes.grid(axis="y", color=GRID, linewidth=0.6)
     plain(axes)
-    axes.legend(loc="upper left", bbox_to_anchor=(0, -0.16), borderaxespad=0, handlelength=2.2)
+    below = -0.16 * HIGH / max(HIGH, ROW * len(chart.y_words))
+    axes.legend(loc="upper left", bbox_to_anchor=(0, below), borderaxespad=0, handlelength=2.2)
     return shown
 
 

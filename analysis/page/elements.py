@@ -53,7 +53,7 @@ class Chart:
 
     Attributes:
         title: its heading. series: the curves. x_name, y_name: of the axes. note: a line below.
-        unit: after every value of y, for example "%". x_words: labels of 0, 1, 2, ....
+        unit: after every value of y, for example "%". x_words, y_words: labels of 0, 1, 2, ....
         y_range: smallest range of the y axis; None: as the curves need, from 0. fit: the y axis begins at the curves'
             minimum instead of 0, and `y_range` limits it.
         at_x: (x, label) of vertical lines. at_y: (y, label) of horizontal ones.
@@ -67,6 +67,7 @@ class Chart:
     note: str = ""
     unit: str = ""
     x_words: Sequence[str] = ()
+    y_words: Sequence[str] = ()
     y_range: tuple[float, float] | None = None
     fit: bool = False
     at_x: tuple[tuple[float, str], ...] = ()

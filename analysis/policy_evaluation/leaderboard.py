@@ -33,7 +33,6 @@ from planner.arguments import argument
 from planner.errors import InputError, UsageError
 from planner.files import Json, check_file
 from planner.formatting import ceiled, counted, in_percent
-from planner.json_objects import as_json
 from planner.plan.plan import Plan
 from planner.plan_team import plan_team, read_plan
 from planner.policies.rules import Rule
@@ -518,7 +517,7 @@ def report(standing: Leaderboard) -> Report:
     ranks = table_of(RANKS, standing.entries, padding=(0, 1, 0, 0))
     worlds = _worlds_table(standing)
     return Report(
-        "suite", "suite", "Which policy covers most?", headline(standing), partial(as_json, standing),
+        "suite", "suite", "Which policy covers most?", headline(standing), standing,
         figures=[KeyFigure(f"{row.rank} of {len(standing.entries)}", f"rank of {row.name}") for row in mine],
         heading=[f"{count}, {counted(standing.rollouts, 'rollout')} each, seed {standing.seed}"],
         took=[f"{standing.seconds:.0f} s"],

@@ -7,7 +7,6 @@ import pickle
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,6 @@ from analysis.utils.tables import make_table, without_level
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.formatting import ceiled, counted, percent
-from planner.json_objects import as_json
 from planner.plan_team import plan_team
 from planner.rollouts.names import of_jax
 from planner.settings import Choices
@@ -195,20 +193,20 @@ def report(judged: PolicyEvaluation) -> Report:
     """The policy's coverage and score between a random walk, or random areas, and the bound."""
     robots = len(judged.starts)
     score = [] if judged.score is None else [KeyFigure(judged.score.columns(100.0)[0] + " %", "score")]
-    table = make_table(("", "visited, %", "from .. to", "lost", "policy ahead, points"))
-    rows = {"the policy": (judged.coverage, judged.losses.columns()[0], "")}
-    rows |= {
-        name: (one.coverage, one.losses.columns()[0], one.ahead.describe(100)) for name, one in judged.plans.items()
-    }
-    for name, (covered, *others) in (rows | {judged.walk: (judged.random, "", "")}).items():
-        table.add_row(name, *covered.columns(100.0, 100), *others)
-    table.add_row("upper bound", ceiled(judged.bound, unit=""), "certified", "", "")
+    rows = [
+        ("the policy", *judged.coverage.columns(100.0, 100), judged.losses.columns()[0], ""),
+        *((name, *one.coverage.columns(100.0, 100), one.losses.columns()[0], one.ahead.describe(100))
+          for name, one in judged.plans.items()),
+        (judged.walk, *judged.random.columns(100.0, 100), "", ""),
+        ("upper bound", ceiled(judged.bound, unit=""), "certified", "", ""),
+    ]  # fmt: skip
+    table = make_table(("", "visited, %", "from .. to", "lost", "policy ahead, points"), rows=rows)
     score_is = f"score: (policy - {judged.walk}) / (bound - {judged.walk})"
     note = f"{score_is}; all with common random numbers and the same last step"
     level = "± half the 95 % interval, in brackets its ends"
     return Report(
         "policy", "judge", asked(judged.world, robots, "how good is the policy?"), headline(judged),
-        partial(as_json, judged), figures=[share_figure(judged.coverage, "visited on average"), *score],
+        judged, figures=[share_figure(judged.coverage, "visited on average"), *score],
         heading=(map_text(judged.world, judged.cells, robots),
                  f"{counted(judged.choices.rollouts, 'rollout')}, seed {judged.choices.seed}, at most "
                  f"{judged.world.pace.steps(judged.max_steps)}"),

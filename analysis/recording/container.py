@@ -30,7 +30,8 @@ from analysis.recording.names import GROWING, how_to_clear, interrupted_name, le
 from analysis.utils.progress import ENDING
 from planner.arguments import argument
 from planner.errors import InputError, UsageError
-from planner.mcap import MAGIC, damage_reported, mapped
+from planner.files import MAGIC, damage_reported, mapped
+from planner.json_objects import WithKeys
 
 # Writer: the file survives a crash, and its bytes depend only on its content.
 #
@@ -409,7 +410,7 @@ class Lost:
 
 
 @dataclass
-class Recovered:
+class Recovered(WithKeys):
     """The result of `recover`.
 
     Attributes:
@@ -428,6 +429,12 @@ class Recovered:
     metadata: list[str] = field(default_factory=list)
     lost: list[Lost] = field(default_factory=list)
     lost_messages: int | None = None
+    json_keys = "source out chunks messages attachments metadata lost lost_messages losses complete"
+
+    @property
+    def losses(self) -> int:
+        """Number of lost parts."""
+        return len(self.lost)
 
     @property
     def complete(self) -> bool:

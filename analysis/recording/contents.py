@@ -18,8 +18,8 @@ from analysis.recording.viewers.topics import DATA_TOPICS, OWN
 from analysis.theory.bounds import Bounds
 from planner.arguments import MAX_PLAN_BYTES, is_whole
 from planner.errors import InputError
-from planner.files import Json, npz_bytes, unpack_npz
-from planner.json_objects import as_json
+from planner.files import npz_bytes, unpack_npz
+from planner.json_objects import WithKeys, as_json
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.simulator.codes import Outcome
@@ -43,7 +43,7 @@ STEP_SECONDS = (1e-6, 500.0)
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(WithKeys):
     """Settings of a recording: everything that messages depend on, except world and plan.
 
     Attributes:
@@ -72,11 +72,15 @@ class Settings:
     mrac_jax: str = ""
     version: int = VERSION
     per_visit: bool = False
+    format = FORMAT
+    json_keys = """
+        format version loop threat_checks seed ids picks evaluated outcomes step_seconds plan mrac_jax *random_numbers
+    """
 
-    def to_json(self) -> Json:
-        """The object of `settings.json`."""
-        said = asdict(self) | {"luck": "step" if self.per_visit else "tolerance"}
-        return {"format": FORMAT, "version": self.version} | {name: said[name] for name in said if name != "per_visit"}
+    @property
+    def random_numbers(self) -> dict[Literal["luck"], str]:
+        """What the random numbers belong to: visits ("step"), or robots ("tolerance")."""
+        return {"luck": "step" if self.per_visit else "tolerance"}
 
 
 def own_version() -> str:

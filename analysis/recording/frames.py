@@ -236,6 +236,12 @@ class Line:
     level: int
     text: str
     short: str
+    json_keys = "step kind=kind_name robot text"
+
+    @property
+    def kind_name(self) -> str:
+        """The kind of the event as a word."""
+        return self.kind.name.lower()
 
 
 def event_line(row: NDArray, world: World, plan: Plan | None = None) -> Line:

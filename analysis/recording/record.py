@@ -6,8 +6,9 @@ import re
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -19,18 +20,17 @@ from analysis.recording.viewers import topics
 from analysis.recording.viewers.messages import rollout_messages
 from analysis.recording.viewers.topics import Clock, Message, Stage, layout_json, type_of
 from analysis.report.result import Result
+from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.statistics.estimates import quantile
 from analysis.theory.bounds import all_bounds
 from analysis.utils.notes import Doing, ProgressCallback, quiet
-from analysis.utils.progress import announce_compilation
-from planner.arguments import BLOCK, SEED, Numbers, argument, check_word
+from planner.arguments import BLOCK, Numbers, argument
 from planner.errors import UsageError
 from planner.failure_model import key_of
 from planner.files import why_no_file
 from planner.formatting import UNPACED, Pace
 from planner.plan.plan import Plan, is_certain
 from planner.plan.state import MissionState
-from planner.rollouts.names import ENGINES, EngineName
 from planner.rollouts.single_run import PythonLoop
 from planner.simulator.thresholds import threefry2x32
 from planner.tally import RolloutResults, Tally, Trace
@@ -133,14 +133,13 @@ class Picker:
 
 
 @dataclass(frozen=True)
-class Request:
-    """The arguments of a recording.
+class Request(RolloutChoices):
+    """The arguments of a recording; its bytes do not depend on the engine.
 
     Attributes:
         ids: rollouts in full; empty: those selected by `picks`.
         picks: selections among the evaluated rollouts. evaluated: their number, ids from 0; 0: only those in `ids`.
         outcomes: store every evaluated rollout's outcome.
-        loop, seed, engine, first_only: as in `analysis.evaluation.evaluate`; the file does not depend on the engine.
         step_seconds: time of a step.
         made: the plan comes from the planner, not from a file.
         scenario: the text of the scenario file, if there is one.
@@ -150,10 +149,6 @@ class Request:
     picks: tuple[Pick, ...] = ()
     evaluated: int = 0
     outcomes: bool = False
-    loop: Literal["closed", "open"] = "closed"
-    seed: int = 0
-    engine: EngineName = "auto"
-    first_only: bool = False
     step_seconds: float = 1.0
     made: bool = True
     scenario: bytes | None = None
@@ -167,29 +162,8 @@ class Request:
 
     def check(self) -> None:
         """Raise UsageError for arguments that cannot be recorded."""
-        low, high = contents.STEP_SECONDS
-        check_word("loop", self.loop, ("closed", "open"))
-        check_word("engine", self.engine, ENGINES)
-        SEED.check("seed", self.seed)
-        Numbers(low, high, "seconds").check("step_seconds", self.step_seconds)
-        if not self.ids and not self.picks:
-            raise UsageError("nothing to record", expected=f"{argument('ids')} or {argument('picks')}")
-        among = f"{argument('picks')} chooses among" if self.picks else f"{argument('outcomes')} are those of"
-        if (self.picks or self.outcomes) and not self.evaluated:
-            problem = f"{among} evaluated rollouts, but none is evaluated"
-            raise UsageError(problem, expected=argument("evaluated"))
-        if self.first_only and self.loop == "open":
-            problem = f"{argument('first_only', True)} needs the closed loop"
-            raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")
-
-
-def engine_of(stage: Stage, name: EngineName) -> Engine:
-    """The engine of these rollouts. Raises InputError."""
-    from planner.rollouts.engine import Rolling, make_engine
-
-    announce_compilation(stage.plan, stage.loop)
-    how = Rolling(stage.loop, stage.first_only, stage.seed)
-    return make_engine(stage.plan, stage.world, how, name)
+        super().check()
+        Numbers(*contents.STEP_SECONDS, "seconds").check("step_seconds", self.step_seconds)
 
 
 def tally_of(engine: Engine, ids: Iterable[int]) -> Tally:
@@ -201,11 +175,13 @@ def tally_of(engine: Engine, ids: Iterable[int]) -> Tally:
     return sum(tallies[1:], start=tallies[0])
 
 
-def chunks(engine: Engine, count: int, progress: ProgressCallback | None) -> Iterator[tuple[Tally, RolloutResults]]:
-    """Rollouts 0 .. count - 1 in blocks: (tally so far, results of the next ids)."""
+def chunks(
+    engine: Engine, count: int, progress: ProgressCallback | None, marks: Iterable[int] = ()
+) -> Iterator[tuple[Tally, RolloutResults]]:
+    """Rollouts 0 .. count - 1 in order: (tally so far, results of the next ids, which end at each of `marks`)."""
     from planner.rollouts.engine import run_chunks
 
-    for chunk in run_chunks(engine, count, results=True):
+    for chunk in run_chunks(engine, count, results=True, checkpoints=marks):
         assert chunk.results is not None
         yield chunk.tally, chunk.results
         if progress is not None:
@@ -215,56 +191,26 @@ def chunks(engine: Engine, count: int, progress: ProgressCallback | None) -> Ite
 def evaluate(
     engine: Engine, request: Request, write: Callable[[Message], None], progress: ProgressCallback | None
 ) -> tuple[Tally, tuple[int, ...], dict[str, int]]:
-    """(tally, ids to record, picks) of the evaluation; outcomes are written while it runs."""
+    """(tally, ids to record, picks) of the evaluation; outcomes are written while it runs, in blocks of BLOCK ids."""
     if not request.evaluated:
         return tally_of(engine, request.ids), request.ids, {}
-    picker, columns = Picker(engine.accessible), OutcomeColumns()
-    for so_far, results in chunks(engine, request.evaluated, progress):
+    picker, waiting, count = Picker(engine.accessible), list[RolloutResults](), request.evaluated
+    for so_far, results in chunks(engine, count, progress, range(BLOCK, count, BLOCK) if request.outcomes else ()):
         tally = so_far
         if request.picks:
             picker.add(results)
         if request.outcomes:
-            for message in columns.add(results):
-                write(message)
-    # The last block may be incomplete.
-    for message in columns.rest():
-        write(message)
+            waiting.append(results)
+            if tally.rollouts % BLOCK == 0 or tally.rollouts == count:
+                write(_outcome_message(RolloutResults.join(waiting)))
+                waiting = []
     picks = {pick.name: picker.choose(pick, request.seed) for pick in request.picks}
     return tally, request.ids or tuple(dict.fromkeys(picks.values())), picks
 
 
-class OutcomeColumns:
-    """Splits results into `/outcomes` messages of aligned blocks of BLOCK ids, all at time 0."""
-
-    def __init__(self) -> None:
-        self._waiting: RolloutResults | None = None
-
-    def add(self, results: RolloutResults) -> Iterator[Message]:
-        """The blocks that the results of the next ids complete."""
-        known = results if self._waiting is None else RolloutResults.join([self._waiting, results])
-        at = 0
-        while (stop := (known.start + at) // BLOCK * BLOCK + BLOCK - known.start) <= len(known.visited):
-            yield _outcome_message(known, at, stop)
-            at = stop
-        self._waiting = part_of(known, at, len(known.visited))
-
-    def rest(self) -> Iterator[Message]:
-        """The last block, if it is not full."""
-        if self._waiting is not None and len(self._waiting.visited):
-            yield _outcome_message(self._waiting, 0, len(self._waiting.visited))
-
-
-def part_of(results: RolloutResults, start: int, stop: int) -> RolloutResults:
-    """Rows `start .. stop - 1` of results."""
-    names = ("visited", "survived", "time", "alive", "outcome", "bisected", "divided")
-    columns = {name: getattr(results, name)[start:stop] for name in names}
-    return replace(results, start=results.start + start, **columns)
-
-
-def _outcome_message(results: RolloutResults, start: int, stop: int) -> Message:
-    part = part_of(results, start, stop)
-    columns = {name: getattr(part, name).astype(np.int64).tolist() for name in contents.OUTCOME_COLUMNS}
-    return Message("/outcomes", 0, topics.Outcomes(first=part.start, **columns).SerializeToString())
+def _outcome_message(block: RolloutResults) -> Message:
+    columns = {name: getattr(block, name).astype(np.int64).tolist() for name in contents.OUTCOME_COLUMNS}
+    return Message("/outcomes", 0, topics.Outcomes(first=block.start, **columns).SerializeToString())
 
 
 MOST_SECONDS = 2.0**31 - 1
@@ -272,16 +218,21 @@ MOST_SECONDS = 2.0**31 - 1
 
 @dataclass(frozen=True)
 class Row:
-    """Summary of a recorded rollout: its id, the picks that selected it, and its figures (cells, steps, robots)."""
+    """Summary of a recorded rollout: its id, the picks that selected it, and its figures.
+
+    Attributes:
+        visited, survived: fractions of the accessible cells. time: steps. alive: robots. cells_visited: number.
+    """
 
     rollout: int
     picks: tuple[str, ...]
     outcome: str
-    visited: int
-    survived: int
+    visited: Fraction
+    survived: Fraction
     time: int
     alive: int
     events: int
+    cells_visited: int
 
 
 @dataclass(eq=False, repr=False)
@@ -312,6 +263,9 @@ class Recorded(Result):
     evaluate_seconds: float = 0.0
     record_seconds: float = 0.0
     pace: Pace = UNPACED
+    json_keys = """
+        file=path bytes steps rollouts=rows settings tally.accessible evaluate_seconds record_seconds
+    """
 
     @property
     def steps(self) -> int:
@@ -339,12 +293,11 @@ def record(
         UsageError: `path`.partial exists from an earlier run.
         KeyboardInterrupt: before the first rollout was finished; nothing is written.
     """
-    request.check()
     if not request.outcomes and request.evaluated and is_certain(world, plan, request.loop):
         request = replace(request, evaluated=1)  # all rollouts are equal: every pick is rollout 0
     stage = Stage(world, plan, request.loop, request.seed, request.first_only)
-    engine, began, done = engine_of(stage, request.engine), time.perf_counter(), Recorded(Path(path), pace=world.pace)
-    log = LogWriter(path, chunk_size=CHUNK_SIZE, discard=True)
+    engine, done = make_engine_for(world, plan, request), Recorded(Path(path), pace=world.pace)
+    began, log = time.perf_counter(), LogWriter(path, chunk_size=CHUNK_SIZE, discard=True)
     try:
         with log:
             _write(log, done, stage, request, engine, progress, doing)
@@ -385,7 +338,7 @@ def _write(
     _describe(log, done.settings, done.tally, world, plan)
     doing(f"writing rollout 1 of {len(ids)}")
     for trace, messages in recorded_messages(stage, engine.traces(ids), request.step_seconds):
-        row = _row(trace, picks, stage)
+        row = _row(trace, picks, stage, done.tally.accessible)
         for message in messages:
             write(message)
         if not done.rows:
@@ -396,12 +349,21 @@ def _write(
         doing(f"writing rollout {written + 1} of {len(ids)}" if written < len(ids) else "closing the file")
 
 
-def _row(trace: Trace, picks: dict[str, int], stage: Stage) -> Row:
+def _row(trace: Trace, picks: dict[str, int], stage: Stage, accessible: int) -> Row:
     frames = make_frames(trace, stage.plan.state)
     names = tuple(name for name, one in picks.items() if one == trace.rollout)
-    visited, survived, alive = (int(one[-1]) for one in (frames.visited, frames.survived, frames.alive_count))
-    outcome, events = stage.plan.ending(trace.outcome).word, len(trace.events)
-    return Row(trace.rollout, names, outcome, visited, survived, trace.time, alive, events)
+    visited, survived = int(frames.visited[-1]), int(frames.survived[-1])
+    return Row(
+        rollout=trace.rollout,
+        picks=names,
+        outcome=stage.plan.ending(trace.outcome).word,
+        visited=Fraction(visited, accessible),
+        survived=Fraction(survived, accessible),
+        time=trace.time,
+        alive=int(frames.alive_count[-1]),
+        events=len(trace.events),
+        cells_visited=visited,
+    )
 
 
 def _describe(log: LogWriter, settings: contents.Settings, tally: Tally, world: World, plan: Plan) -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import time
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
-from fractions import Fraction
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,18 +18,19 @@ from rich.table import Table
 from analysis.recording import contents
 from analysis.recording.container import RECOVERED, Log, LogMessage, Recovered, open_log
 from analysis.recording.contents import RecordedOutcomes, RecordedRollout, decode, read_outcomes, read_rollouts
-from analysis.recording.frames import end_text, event_line
-from analysis.recording.record import Picker, Recorded, chunks, engine_of, parse_picks, recorded_messages, tally_of
+from analysis.recording.frames import Line, end_text, event_line
+from analysis.recording.record import Picker, Recorded, chunks, parse_picks, recorded_messages, tally_of
 from analysis.recording.viewers import topics as schemas
 from analysis.recording.viewers.topics import DATA_TOPICS, Message, Stage, type_of
 from analysis.report.model import Report, Section
+from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.theory.bounds import all_bounds
 from analysis.utils.notes import ProgressCallback
 from analysis.utils.tables import make_table
 from planner.arguments import argument
 from planner.errors import PER_VISIT, InputError, PlanError
-from planner.files import Json
 from planner.formatting import counted, in_percent
+from planner.json_objects import WithKeys
 from planner.make_plan import confirm_plan, make_plan
 from planner.plan.plan import Plan
 from planner.simulator.codes import EventKind
@@ -133,7 +135,7 @@ ENDS_EARLY = "ends early"
 
 
 @dataclass
-class Replayed:
+class Replayed(WithKeys):
     """The result of a replay, also while it runs.
 
     Attributes:
@@ -157,6 +159,14 @@ class Replayed:
     everything: bool = True
     engine: EngineName = "auto"
     seconds: float = 0.0
+    json_keys = """
+        path settings difference rollouts messages asked partial=is_partial drawn everything engine seconds identical
+    """
+
+    @property
+    def is_partial(self) -> bool:
+        """Whether the file is incomplete."""
+        return bool(self.partial)
 
     @property
     def identical(self) -> bool:
@@ -218,7 +228,8 @@ class _Comparison:
         plan = self._plan(world, source)
         self._descriptions(world, plan)
         stage = Stage(world, plan, settings.loop, settings.seed, settings.threat_checks == "first_visit")
-        engine = engine_of(stage, self.found.engine)
+        choices = RolloutChoices(stage.loop, engine=self.found.engine, seed=stage.seed, first_only=stage.first_only)
+        engine = make_engine_for(world, plan, choices)
         self._rollouts(stage, engine)
         if self.found.everything:
             self._evaluated(engine)
@@ -345,14 +356,41 @@ def _area_facts(area: Any) -> tuple[int, int, list[int]]:
 
 
 @dataclass(frozen=True)
-class Inspection:
+class Topic:
+    """The schema of a topic, and its number of messages."""
+
+    schema: str
+    messages: int
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """A recorded rollout.
+
+    Attributes:
+        begins_seconds: in the file. time: steps. visited, survived: fractions of the accessible cells.
+        robots, alive: numbers, the second at the end. text: its end. events: in order.
+    """
+
+    rollout: int
+    begins_seconds: float
+    outcome: str
+    time: int
+    visited: float
+    survived: float
+    robots: int
+    alive: int
+    text: str
+    events: list[Line]
+
+
+@dataclass(frozen=True)
+class Inspection(WithKeys):
     """Contents of a log.
 
     Attributes:
         partial: why it is incomplete. settings: None for a log of another program. shape: of the world.
-        topics: schema and number of messages of each. attachments: bytes of each.
-        rollouts: recorded rollouts as JSON objects: coverage as fractions of the accessible cells, outcome, end
-            (`text`) and events as text.
+        topics, rollouts: of the file. attachments: bytes of each.
     """
 
     path: Path
@@ -362,10 +400,10 @@ class Inspection:
     partial: str
     settings: contents.Settings | None
     shape: tuple[int, int] | None
-    topics: dict[str, Json]
+    topics: dict[str, Topic]
     attachments: dict[str, int]
     metadata: dict[str, dict[str, str]]
-    rollouts: list[Json]
+    rollouts: list[Timeline]
 
 
 def inspect(path: str | Path) -> Inspection:
@@ -378,11 +416,10 @@ def inspect(path: str | Path) -> Inspection:
         settings = contents.read_settings(log.attachment(contents.SETTINGS), str(path))
         world = contents.read_world(log.attachment(contents.WORLD), str(path))
         plan = contents.read_plan(log.attachment(contents.PLAN), world, str(path)) if contents.PLAN in names else None
-    topics: dict[str, Json] = {}
-    last = 0
+    schemas_of, counts, last = dict[str, str](), Counter[str](), 0
     for message in log.messages():
-        schema = "" if message.schema is None else message.schema.name
-        topics.setdefault(message.topic, {"schema": schema, "messages": 0})["messages"] += 1
+        schemas_of.setdefault(message.topic, "" if message.schema is None else message.schema.name)
+        counts[message.topic] += 1
         last = max(last, message.log_time)
     return Inspection(
         path=Path(path),
@@ -392,14 +429,14 @@ def inspect(path: str | Path) -> Inspection:
         partial=log.partial,
         settings=settings,
         shape=None if world is None else world.shape,
-        topics=dict(sorted(topics.items())),
+        topics={topic: Topic(schemas_of[topic], counts[topic]) for topic in sorted(counts)},
         attachments={attached.name: len(attached.data) for attached in log.attachments},
         metadata=dict(log.metadata),
         rollouts=[] if world is None else [_rollout(one, world, plan, log.path) for one in read_rollouts(log)],
     )
 
 
-def _rollout(one: RecordedRollout, world: World, plan: Plan | None, source: Path) -> Json:
+def _rollout(one: RecordedRollout, world: World, plan: Plan | None, source: Path) -> Timeline:
     trace = one.trace
     try:
         lines = [event_line(row, world, plan) for row in trace.events]
@@ -408,20 +445,20 @@ def _rollout(one: RecordedRollout, world: World, plan: Plan | None, source: Path
     cells = max(one.accessible, 1)
     visited, survived, alive = (int(values[-1]) for values in (one.visited, one.survived, one.alive))
     ended = trace.outcome if plan is None else plan.ending(trace.outcome)
-    begins, robots = float(one.times[0]) / 1e9, trace.cells.shape[1]
-    events = [{"step": at.step, "kind": at.kind.name.lower(), "robot": at.robot, "text": at.text} for at in lines]
-    return {
-        "rollout": trace.rollout, "begins_seconds": begins, "outcome": ended.word, "time": trace.time,
-        "visited": visited / cells, "survived": survived / cells, "robots": robots, "alive": alive,
-        "text": end_text(trace, ended, visited, survived, cells, alive), "events": events,
-    }  # fmt: skip
+    text = end_text(trace, ended, visited, survived, cells, alive)
+    return Timeline(
+        trace.rollout, float(one.times[0]) / 1e9, ended.word, trace.time, visited / cells, survived / cells,
+        trace.cells.shape[1], alive, text, lines,
+    )  # fmt: skip
 
 
 # Reports of `record`, `replay`, `inspect` and `recover`.
 
 MOST_LINES = 40
 """Events shown for a rollout: losses, reallocations and shares take precedence."""
-FIRST = {kind.name.lower() for kind in (EventKind.HIT, EventKind.REALLOCATED, EventKind.SHARED)}
+OF_LATER = re.compile(r"/robots/(?!0/)[^/]*/[^/]*")
+"""Topics of the robots after the first."""
+FIRST = {EventKind.HIT, EventKind.REALLOCATED, EventKind.SHARED}
 
 
 # --- record ---
@@ -431,37 +468,23 @@ def report(done: Recorded) -> Report:
     """The file, and the results of its rollouts."""
     kept = f"{done.bytes / 1e6:.2f} MB, {counted(done.steps, 'step')} in full"
     return Report(
-        "record", "record", str(done.path), f"{done.path}: {kept}", lambda: _recorded_json(done),
+        "record", "record", str(done.path), f"{done.path}: {kept}", done,
         heading=[f"{counted(done.tally.rollouts, 'rollout')} evaluated"],
         parts=[Section("Rollouts in full", [_rollouts_table(done)])], pace=done.pace,
     )  # fmt: skip
 
 
 def _rollouts_table(done: Recorded) -> Table:
-    cells, pace = done.tally.accessible, done.pace
+    pace = done.pace
     of, figures = ("rollout", "picked as", "ends", "step"), ("visited, %", "survived, %", "alive", "events")
     columns = (*of, *["minutes"] * bool(pace), *figures)
-    table = make_table(columns, left=("picked as", "ends"), dropped=("events", "survived, %"))
+    rows = []
     for row in done.rows:
         ends = row.outcome.replace("_", " ")
-        shares = (in_percent(Fraction(count, cells)) for count in (row.visited, row.survived))
+        shares = in_percent(row.visited), in_percent(row.survived)
         times = (str(row.time), *[f"{pace.minutes * row.time:,.1f}"] * bool(pace))
-        table.add_row(str(row.rollout), ", ".join(row.picks), ends, *times, *shares, str(row.alive), str(row.events))
-    return table
-
-
-def _recorded_json(done: Recorded) -> Json:
-    """The recorded rollouts; after an interruption those that were done."""
-    cells = done.tally.accessible
-    rows = [
-        asdict(row) | {"visited": row.visited / cells, "survived": row.survived / cells, "cells_visited": row.visited}
-        for row in done.rows
-    ]
-    return ({"partial": True} if done.partial else {}) | {
-        "file": str(done.path), "bytes": done.bytes, "steps": done.steps, "rollouts": rows,
-        "settings": done.settings.to_json(), "accessible": cells,
-        "evaluate_seconds": done.evaluate_seconds, "record_seconds": done.record_seconds,
-    }  # fmt: skip
+        rows.append((str(row.rollout), ", ".join(row.picks), ends, *times, *shares, str(row.alive), str(row.events)))
+    return make_table(columns, rows=rows, left=("picked as", "ends"), dropped=("events", "survived, %"))
 
 
 def interrupted_lines(done: Recorded, asked: Path) -> list[str]:
@@ -478,14 +501,13 @@ def interrupted_lines(done: Recorded, asked: Path) -> list[str]:
 
 def replayed(found: Replayed) -> Report:
     """The result of the comparison; JSON's `partial`: the file is incomplete."""
-    changed = {"path": str(found.path), "settings": found.settings.to_json(), "partial": bool(found.partial)}
     findings = []
     if not found.drawn:
         verdict = "rollouts identical, drawings not compared" if found.identical else "drawings not compared"
         findings = [f"written by another version (mrac-jax {found.settings.mrac_jax}): {verdict}"]
     return Report(
         "replay", "replay", str(found.path), f"{found.path}: {_verdict(found)}",
-        lambda: asdict(found) | changed | {"identical": found.identical}, findings,
+        found, findings,
         took=[f"repeated in {found.seconds:.1f} s, {found.engine}"],
     )  # fmt: skip
 
@@ -511,16 +533,11 @@ def inspected(found: Inspection, most_events: int | None) -> Report:
     """Contents, then each rollout with at most `most_events` events of its timeline (None: all)."""
     kept = f"{found.bytes / 1e6:.2f} MB, {found.seconds:g} s, written by {found.library}"
     cut = [f"incomplete log: {found.partial}"] if found.partial else []
-    parts = [Section(f"Rollout {one['rollout']}", notes=["", *_timeline(one, most_events)]) for one in found.rollouts]
+    parts = [Section(f"Rollout {one.rollout}", notes=["", *_timeline(one, most_events)]) for one in found.rollouts]
     return Report(
-        "inspect", "inspect", str(found.path), f"{found.path}: {kept}", lambda: _inspection_json(found),
+        "inspect", "inspect", str(found.path), f"{found.path}: {kept}", found,
         cut, heading=[_settings_line(found)], parts=[_topics(found), *parts],
     )  # fmt: skip
-
-
-def _inspection_json(found: Inspection) -> Json:
-    settings = None if found.settings is None else found.settings.to_json()
-    return asdict(found) | {"path": str(found.path), "settings": settings}
 
 
 def _settings_line(found: Inspection) -> str:
@@ -538,26 +555,22 @@ def _settings_line(found: Inspection) -> str:
 
 
 def _topics(found: Inspection) -> Section:
-    table, later = make_table(("topic", "schema", "messages"), left=("topic", "schema")), 0
-    for topic, kind in found.topics.items():
-        parts = topic.split("/")
-        if len(parts) == 4 and parts[1] == "robots" and parts[2] != "0":
-            later += 1
-        else:
-            table.add_row(topic, kind["schema"], f"{kind['messages']:,}")
-    others = [f"and {counted(later, 'topic')} like those of robot 0 for the other robots"] if later else []
+    later = set(filter(OF_LATER.fullmatch, found.topics))
+    rows = [(name, of.schema, f"{of.messages:,}") for name, of in found.topics.items() if name not in later]
+    table = make_table(("topic", "schema", "messages"), rows=rows, left=("topic", "schema"))
+    others = [f"and {counted(len(later), 'topic')} like those of robot 0 for the other robots"] * bool(later)
     attached = ", ".join(f"{name} ({counted(size, 'byte')})" for name, size in found.attachments.items())
     return Section("Topics", [table], [*others, f"attachments: {attached}"])
 
 
-def _timeline(rollout: Json, most: int | None) -> Iterator[str]:
-    yield f"{rollout['text']} (from {rollout['begins_seconds']:g} s of the file)"
-    events = [*enumerate(rollout["events"])]
-    shown = sorted(events, key=lambda item: (item[1]["kind"] not in FIRST, item[0]))[:most]
+def _timeline(rollout: Timeline, most: int | None) -> Iterator[str]:
+    yield f"{rollout.text} (from {rollout.begins_seconds:g} s of the file)"
+    events = rollout.events
+    shown = sorted(range(len(events)), key=lambda place: (events[place].kind not in FIRST, place))[:most]
     step = None
-    for _, event in sorted(shown, key=lambda item: item[0]):
-        yield f"  {'' if event['step'] == step else 'step ' + str(event['step']):>12}  {event['text']}"
-        step = event["step"]
+    for event in (events[place] for place in sorted(shown)):
+        yield f"  {'' if event.step == step else f'step {event.step}':>12}  {event.text}"
+        step = event.step
     if shown and len(shown) < len(events):
         yield f"  {'':>12}  and {counted(len(events) - len(shown), 'event')} more: {argument('events', 'all')}"
 
@@ -574,8 +587,7 @@ def recovered(found: Recovered) -> Report:
         findings.append(f"lost {counted(found.lost_messages, 'message')} in all")
     if found.complete:
         findings.append("nothing is lost")
-    said = {"source": str(found.source), "out": str(found.out), "losses": len(found.lost), "complete": found.complete}
     return Report(
         "recover", "recover", str(found.source), f"saved {saved}, {', '.join(others)}",
-        lambda: asdict(found) | said, findings, heading=[f"written to {found.out}"],
+        found, findings, heading=[f"written to {found.out}"],
     )  # fmt: skip

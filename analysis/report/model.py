@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
     from rich.table import Table
 
-    from planner.files import Json
     from planner.plan.plan import Plan
 
 
@@ -92,7 +91,7 @@ class Report:
         took: computing time, on a terminal only, so that equal results have equal pages.
         last: input and computing time, printed after the tables instead of `heading` and `took`.
         again: how to reproduce the figures, if the command alone is not sufficient.
-        json: makes the JSON object.
+        result: gives the JSON object, by the keys that its class declares.
         pictures: by file name, drawn when they are written. files: the contents of other files.
         faults: failures that make the command exit with an error. pace: length of a step if known, for the JSON object.
     """
@@ -101,7 +100,7 @@ class Report:
     kind: str
     title: str
     headline: str
-    json: Callable[[], Json]
+    result: Any
     findings: Sequence[str] = ()
     figures: Sequence[KeyFigure] = ()
     heading: Sequence[str] = ()

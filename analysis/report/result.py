@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from html import escape
 from importlib import import_module
 from importlib.metadata import version
@@ -72,7 +71,7 @@ WIDE = 140
 
 def json_of(report: Report) -> Any:
     """The JSON object of a report, times in minutes too where a step has a length."""
-    said = {"format": FORMAT} | with_minutes(as_json(report.json()), report.pace)
+    said = {"format": FORMAT} | with_minutes(as_json(report.result), report.pace)
     return said | {"step_seconds": report.pace.seconds} if report.pace else said
 
 
@@ -343,7 +342,7 @@ def search_report(found: Any, name: str, question: str, summary: str, extent: st
         seed_text(world, found.choices, found.engine, rolled),
     )
     settings = {"settings": found.settings.described(world.pace)} | more
-    return Report(name, name, asked(world, robots, question), summary, partial(as_json, found), heading=heading,
+    return Report(name, name, asked(world, robots, question), summary, found, heading=heading,
                   notes=found.notes, pace=world.pace, **settings)  # fmt: skip
 
 

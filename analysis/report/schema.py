@@ -13,15 +13,22 @@ from planner.json_objects import Schema
 FILE = Path(__file__).with_name("schema.json")
 RESULTS = {
     "check": "analysis.checking.check:MapCheck",
+    "check_paper": "analysis.reproduction:Reproduction",
     "check_worlds": "analysis.checking.check:Survey",
     "compare": "analysis.comparison:Comparison",
     "debrief": "analysis.debrief:Debrief",
     "evaluate": "analysis.evaluation.evaluate:Evaluation",
     "front": "analysis.search.pareto:Front",
+    "inspect": "analysis.recording.replay:Inspection",
+    "inspect_repair": "analysis.recording.container:Recovered",
+    "inspect_replay": "analysis.recording.replay:Replayed",
     "judge": "analysis.policy_evaluation.policy_evaluation:PolicyEvaluation",
+    "record": "analysis.recording.record:Recorded",
+    "results": "analysis.sweeps.results:Results",
     "size": "analysis.search.team_size:TeamSize",
     "starts": "analysis.search.start_positions:Starts",
     "suite": "analysis.policy_evaluation.leaderboard:Leaderboard",
+    "sweep": "analysis.sweeps.sweep:Sweep",
     "threats_add": "analysis.search.threats:Attack",
     "threats_remove": "analysis.search.threats:Clearing",
 }
@@ -33,11 +40,9 @@ def schema() -> Json:
     found = Schema()
     commands = {command: found.of(resolve_name(place)) for command, place in RESULTS.items()}
     # Each output of `evaluate` adds its key.
-    evaluation, outputs = (
-        found.definitions["evaluate.Evaluation"],
-        resolve_name("analysis.evaluation.evaluate:OUTPUTS"),
-    )
-    evaluation["properties"] |= {name: found.of(output) for name, output in outputs.items()}
+    outputs = resolve_name("analysis.evaluation.evaluate:OUTPUTS")
+    added = {name: found.of(output) for name, output in outputs.items()}
+    found.definitions["evaluate.Evaluation"]["properties"] |= added
     about = (
         f"JSON objects of mrac-jax, format {FORMAT}. Fractions are not percent. Times are steps; where the length of a "
         "step is known, each time also has a key with the suffix _minutes, and step_seconds is its length in seconds. "

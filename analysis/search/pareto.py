@@ -83,10 +83,6 @@ class Setting(NamedTuple):
         both = {"risk_cap": self.risk_cap, "robot_value": self.robot_value}
         return {name: value for name, value in both.items() if value is not None}
 
-    def limits_json(self) -> dict[str, str | float | None]:
-        """The policy and both limits, for JSON."""
-        return {"policy": self.policy, "risk_cap": self.risk_cap, "robot_value": self.robot_value}
-
     def __str__(self) -> str:
         return self.describe(UNPACED)
 

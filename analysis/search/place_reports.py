@@ -191,7 +191,7 @@ def _last_two(search: Clearing | Attack) -> str:
 def removal_summary(clearing: Clearing) -> str:
     """The threat to remove first, and the gain on fresh rollouts."""
     picks, gain = clearing.picks, clearing.gain
-    first = f"Best threat found to remove first: {place_words(clearing, picks[0])}"
+    first = f"Best threat found to remove first: {place_words(picks[0])}"
     if gain is None:
         return f"Interrupted. {first}: {_more(clearing, clearing.turns[0].picked.known)}, on the search's rollouts."
     if len(picks) > 1:
@@ -199,9 +199,9 @@ def removal_summary(clearing: Clearing) -> str:
     return f"{first}: {_more(clearing, gain)} on average, after replanning."
 
 
-def place_words(clearing: Clearing, threat: Threat) -> str:
+def place_words(threat: Threat) -> str:
     """A threat's name, size, probability and position."""
-    row, col = clearing.place(threat)
+    row, col = threat.at
     most = "" if threat.thing is None else "at most "
     at = f"{'' if len(threat.cells) == 1 else 'from '}row {row}, column {col}"
     return f"{threat.name} ({counted(len(threat.cells), 'cell')}, {most}p = {chance(threat.p)}, {at})"
@@ -227,7 +227,7 @@ def clear_findings(clearing: Clearing) -> Iterator[str]:
     yield f"With the old plan, removing {unknown.threat.name} gains most: {most}{then}."
     for turn in clearing.turns[1:]:
         gained = _more(clearing, turn.picked.known)
-        yield f"Then {place_words(clearing, turn.picked.threat)}: {gained} in addition."
+        yield f"Then {place_words(turn.picked.threat)}: {gained} in addition."
 
 
 def _clear_key_figures(clearing: Clearing) -> list[KeyFigure]:
@@ -268,7 +268,7 @@ def _clear_table(clearing: Clearing) -> Table:
     """Every threat as the first to be removed, best first."""
     columns = (
         Column("threat", lambda one: one.threat.name, words=True),
-        Column("at", lambda one: "{},{}".format(*clearing.place(one.threat)), words=True,
+        Column("at", lambda one: "{},{}".format(*one.threat.at), words=True,
                shown=clearing.remove == "areas"),
         Column("cells", lambda one: len(one.threat.cells)),
         Column("p, %", lambda one: chance(one.threat.p, unit="")),

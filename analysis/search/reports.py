@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from itertools import groupby
 from math import ceil
 
@@ -18,7 +17,6 @@ from analysis.statistics.estimates import ALPHA, Estimate, between, losses_sente
 from analysis.utils.tables import Column, in_percents, json_text, make_table, table_of, without_level
 from planner.arguments import argument
 from planner.formatting import ceiled, chance, counted, floored, in_percent, percent
-from planner.json_objects import as_json
 from planner.settings import SETTINGS
 
 
@@ -27,7 +25,7 @@ def size_report(size: TeamSize) -> Report:
     world, chart = size.world, _size_chart(size)
     return Report(
         "size", "size", f"{world.name}: how many robots for {_aim(size)}?", size_summary(size),
-        partial(as_json, size), figures=_size_key_figures(size),
+        size, figures=_size_key_figures(size),
         heading=(f"{map_text(world, size.cells)}, so the target is {size.needed} of them",
                  f"{size.choices.loop} loop, {seed_text(world, size.choices, size.engine)}"),
         picture=lambda: chart, parts=[Section("Teams", [_table(size)], _footnotes(size))], notes=size.notes,
@@ -366,15 +364,16 @@ def _front_chart(front: Front, which: str) -> Chart:
 
 def _prices(front: Front) -> Table:
     """The fewest robots lost for each landmark of coverage."""
-    table = make_table(("covered, % or more", *PRICED.values()), "Fewest robots lost on average", left=())
-    for mark in LANDMARKS:
-        found = [front.cheapest(mark, *families) for families in PRICED]
-        if any(found):
-            table.add_row(f"{100 * mark:g}", *("" if one is None else _price(front, one) for one in found))
-    return table
+    found = {mark: [front.cheapest(mark, *families) for families in PRICED] for mark in LANDMARKS}
+    rows = [
+        (f"{100 * mark:g}", *(_price(front, one) for one in points)) for mark, points in found.items() if any(points)
+    ]
+    return make_table(("covered, % or more", *PRICED.values()), "Fewest robots lost on average", rows, left=())
 
 
-def _price(front: Front, point: Point) -> str:
+def _price(front: Front, point: Point | None) -> str:
+    if point is None:
+        return ""
     setting, step = point.setting, front.world.pace.step
     at = ", ".join(f"{SETTINGS[name].title} {value:g}" for name, value in setting.limits.items())
     lost = of_all(point.losses.mean, len(front.starts))

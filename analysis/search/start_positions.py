@@ -34,6 +34,7 @@ from planner.errors import MapError, UsageError
 from planner.files import check_file, read_csv_grid, read_npy, starts_with_header
 from planner.make_plan import make_plan
 from planner.plan.plan import Plan
+from planner.plan.state_file import cell_columns
 from planner.settings import Settings
 from planner.world.points import read_table
 from planner.world.start_rule import check_robots, place_starts
@@ -215,11 +216,9 @@ def read_candidates(path: Path) -> tuple[NDArray, tuple[str, ...]]:
     if not starts_with_header(path):
         return read_csv_grid(path, MAX_CELLS)
     table = read_table(path, "lines row, col")
-    row, col = table.column("row"), table.column("col", "column")
-    if row is None or col is None:
-        raise MapError(f"has the columns {', '.join(table.names)[:80]}", source=path, expected="row and col")
-    cells = [[table.number(one, row, "row"), table.number(one, col, "col")] for one in table.rows]
-    return np.array(cells), table.notes
+    if not (columns := cell_columns(table)):
+        raise MapError(table.described, source=path, expected="row and col")
+    return table.places(columns, ("row", "col")), table.notes
 
 
 def candidate_cells(world: World, given: ArrayLike, source: object = "") -> tuple[Cells, tuple[str, ...]]:

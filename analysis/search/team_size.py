@@ -183,11 +183,7 @@ class Goal:
 
 
 def make_goal(
-    target: float | None,
-    confidence: float | None,
-    complete: bool,
-    meaning: str = "visited",
-    most: int | None = None,
+    target: float | None, confidence: float | None, complete: bool, meaning: str = "visited", most: int | None = None
 ) -> Goal:
     """The goal of the options. Raises UsageError for a value out of range, or for a contradiction."""
     check_word("metric", meaning, METRICS)

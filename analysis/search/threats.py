@@ -43,13 +43,14 @@ class Threat:
 
     Attributes:
         name: of the area, or as in the user's file. cells: int64 `[n]`, flat indices.
-        p: largest probability that a visit destroys a robot, of this threat alone. thing: its index in
-            `World.sources`; None: an area.
+        p: largest probability that a visit destroys a robot, of this threat alone. at: its first cell, row and column.
+        thing: its index in `World.sources`; None: an area.
     """
 
     name: str
     cells: NDArray[np.int64]
     p: float
+    at: tuple[int, int]
     thing: int | None = None
 
     @property
@@ -216,10 +217,6 @@ class ThreatResult(Searched):
     def unit(self) -> str:
         """Unit of gains and costs, for reports."""
         return "cells" if self.world.value is None else "of value"
-
-    def place(self, threat: Threat) -> tuple[int, int]:
-        """Row and column of a threat's first cell."""
-        return divmod(int(threat.cells[0]), self.world.shape[1])
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -433,7 +430,8 @@ def _things_of(world: World, starts: NDArray[np.int64]) -> list[Threat]:
     for number, name in enumerate(sources.names):
         p = np.where(reached, sources.alone(number), 0.0)
         if p.any():
-            threats.append(Threat(name, np.flatnonzero(p), float(p.max()), number))
+            cells = np.flatnonzero(p)
+            threats.append(Threat(name, cells, float(p.max()), divmod(int(cells[0]), world.shape[1]), number))
     return threats
 
 
@@ -441,7 +439,10 @@ def _areas_of(world: World, starts: NDArray[np.int64], levels: int) -> list[Thre
     """The connected areas of equal threat that robots at `starts` `[K, 2]` can reach: by level, then by lowest cell."""
     found = find_levels(world.threat, world.accessible(starts), levels)
     areas = [(level, cells) for level, cells in find_areas(world.shape, found) if level > 0]
-    return [Threat(f"area {number}", cells, float(found.values[level])) for number, (level, cells) in enumerate(areas)]
+    return [
+        Threat(f"area {number}", cells, float(found.values[level]), divmod(int(cells[0]), world.shape[1]))
+        for number, (level, cells) in enumerate(areas)
+    ]
 
 
 def find_clearing(
@@ -502,25 +503,20 @@ class Placed:
     threats: tuple[Threat, ...]
     known: Gain | None = None
     hidden: Gain | None = None
+    json_keys = "cells loss.known=known loss.hidden=hidden"
 
-
-@dataclass(frozen=True, eq=False)
-class Placement:
-    """Cells `[row, col]` of placed threats, their cost, and the first id of its rollouts."""
-
-    cells: tuple[tuple[int, int], ...]
-    placed: Placed
-    first_rollout: int
-    json_keys = "cells loss.known=placed.known loss.hidden=placed.hidden first_rollout"
+    @property
+    def cells(self) -> list[tuple[int, int]]:
+        """The cells of the threats, row and column."""
+        return [threat.at for threat in self.threats]
 
 
 @dataclass(frozen=True, eq=False)
 class CellCost:
-    """A cell `[row, col]`, and the cost of a threat in it."""
+    """The cost of a threat in a cell `[row, col]`."""
 
-    cell: tuple[int, int]
     cost: ThreatCost
-    json_keys = "cell hidden=cost.unknown cost.screen cost.known cost.behind"
+    json_keys = "cell=cost.threat.at hidden=cost.unknown cost.screen cost.known cost.behind"
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -538,25 +534,14 @@ class Attack(ThreatResult):
     turn: Turn
     known: Placed
     hidden: Placed
-    json_keys = "p known=listed_known hidden=listed_hidden threats=listed_cells"
-
-    @property
-    def listed_known(self) -> Placement:
-        """The placement that costs most if the team knows it."""
-        return self._listed(self.known)
-
-    @property
-    def listed_hidden(self) -> Placement:
-        """The placement that costs most if the team does not know it."""
-        return self._listed(self.hidden)
-
-    def _listed(self, placed: Placed) -> Placement:
-        return Placement(tuple(map(self.place, placed.threats)), placed, self.first_fresh)
+    json_keys = """
+        p known known.first_rollout=first_fresh hidden hidden.first_rollout=first_fresh threats=listed_cells
+    """
 
     @property
     def listed_cells(self) -> tuple[CellCost, ...]:
         """The cost of one threat in each cell."""
-        return tuple(CellCost(self.place(one.threat), one) for one in self.turn.options)
+        return tuple(map(CellCost, self.turn.options))
 
     @property
     def known_world(self) -> World:
@@ -714,7 +699,7 @@ def places_of(
         notes = (f"of {len(cells):,} cells, the {MOST_PLACES} where added threat costs the plan's paths most",)
         cells = np.sort(cells[np.argsort(-costs, kind="stable")[:MOST_PLACES]])
     places = zip(*np.divmod(cells, world.shape[1]), cells, strict=True)
-    return [Threat(f"cell [{row}, {col}]", np.array([cell]), p) for row, col, cell in places], notes
+    return [Threat(f"cell [{row}, {col}]", np.array([cell]), p, (row, col)) for row, col, cell in places], notes
 
 
 def _confirmed(

@@ -37,7 +37,7 @@ from planner.tally import Tally
 from planner.world.generate import PAPER_LEVELS, Kind, ThreatPattern, random_world
 from planner.world.keys import Key
 from planner.world.scenario import read_on, read_scenario
-from planner.world.start_rule import BEFORE, NOW, RELEASES, as_before, check_same_team, place_starts, rules_of
+from planner.world.start_rule import BEFORE, NOW, check_same_team, place_starts, rules_of
 from planner.world.world import World, check_starts
 
 if TYPE_CHECKING:
@@ -108,8 +108,8 @@ class Written:
         return read_scenario(Key(json.loads(self.scenario), "", source), source)
 
 
-RULES = "rules"
-"""Label of runs whose rules changed between releases (`rules_of`), and of their earlier versions."""
+RULES, LATEST = "rules", "0.4"
+"""Label of runs whose rules changed between releases (`rules_of`), and its value."""
 REMEMBERED = 4
 """Number of worlds that `Places` caches: the next case is mostly another team in the same world."""
 Label = str | int | float | bool | None
@@ -179,8 +179,7 @@ def labels_of(case: Case, team: Team, model: RolloutChoices) -> dict[str, Label]
     checks = "first_visit" if model.first_only else "every_visit"
     drawn: dict[str, Label] = {"loop": model.loop, "threat_checks": checks}
     labels = dict(case.labels) | {"robots": len(team.starts)} | drawn | {"rollout_seed": model.seed}
-    rules = _rules(team, model)
-    return labels if rules == BEFORE else labels | {RULES: RELEASES[rules]}
+    return labels if _rules(team, model) == BEFORE else labels | {RULES: LATEST}
 
 
 def generated_case(
@@ -206,20 +205,8 @@ class Places:
 
     def team(self, case: Case) -> Team:
         """The case's world, starts and settings. Raises InputError that names the case."""
-        return self._checked(case, lambda world: world)
-
-    def earlier_key(self, case: Case, team: Team, model: RolloutChoices) -> str | None:
-        """The key of the run in releases before 0.4; None if their rules for it are unchanged.
-
-        `team`: the case's.
-        """
-        if _rules(team, model) == BEFORE:
-            return None
-        return run_key(self._checked(case, as_before), model, BEFORE)
-
-    def _checked(self, case: Case, of: Callable[[World], World]) -> Team:
         try:
-            team = self._team(case, of)
+            team = self._team(case)
             team.world.require_uniform("a sweep")
             team.settings.require_uniform("a sweep")
             team.settings.check_team(len(team.starts))
@@ -227,8 +214,8 @@ class Places:
         except InputError as error:
             raise naming(error, case.name) from error
 
-    def _team(self, case: Case, of: Callable[[World], World]) -> Team:
-        world: World = of(self._world(case.world))
+    def _team(self, case: Case) -> Team:
+        world: World = self._world(case.world)
         if case.plan is not None:
             return self._planned(case)
         if case.starts is not None:
@@ -258,15 +245,11 @@ def _rules(team: Team, model: RolloutChoices) -> int:
     return rules_of(team.world, team.settings, closed=model.loop == "closed")
 
 
-def run_key(team: Team, model: RolloutChoices, rules: int | None = None) -> str:
-    """The identity of a run: sha256, 64 hex digits, of all inputs of its rollouts. Nothing is planned.
-
-    `rules`: version of the simulation rules; None: the latest that concerns such a team
-    (`planner.world.start_rule.rules_of`), so that runs unaffected by a change of the rules keep their keys.
-    """
-    # Keys and values of 0.3, so that its stores are resumed.
+def run_key(team: Team, model: RolloutChoices) -> str:
+    """The identity of a run: sha256, 64 hex digits, of all inputs of its rollouts. Nothing is planned."""
+    # Keys and values of 0.3, so that its stores are resumed: also the version of the rules that concern such a team.
     drawn = {"loop": model.loop, "first_only": model.first_only, "seed": model.seed, "mode": "tolerance"}
-    said = {"semantics": rules or _rules(team, model), "team": team.identity, "model": drawn}
+    said = {"semantics": _rules(team, model), "team": team.identity, "model": drawn}
     return hashlib.sha256(canonical(said).encode()).hexdigest()
 
 

@@ -6,7 +6,6 @@ results, and the same call continues. Memory does not grow with the number of ca
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -22,9 +21,7 @@ from analysis.sweeps.store_files import cut
 from analysis.utils.pool import Pool, wanted_processes
 from planner.arguments import BLOCK, MOST_ROLLOUTS
 from planner.errors import UsageError
-from planner.files import Json
 from planner.formatting import counted
-from planner.world.start_rule import BEFORE, NOW, RELEASES
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -75,21 +72,14 @@ class Done:
 
 @dataclass(frozen=True)
 class Finished:
-    """Summary of a sweep: jobs finished, rollouts simulated and reused, seconds; `partial`: interrupted.
-
-    `earlier`: stored runs that follow an earlier release's rules; they are not used.
-    """
+    """Summary of a sweep: jobs finished, rollouts simulated and reused, seconds; `partial`: interrupted."""
 
     jobs: int
     rollouts: int
     reused: int
     seconds: float
     partial: bool = False
-    earlier: int = 0
-
-    def to_json(self) -> Json:
-        """Its keys in JSON objects."""
-        return {"seconds": self.seconds, "rollouts_run": self.rollouts, "rollouts_reused": self.reused}
+    json_keys = "seconds rollouts_run=rollouts rollouts_reused=reused"
 
     @property
     def description(self) -> str:
@@ -101,6 +91,7 @@ class Swept(Result):
     """A result of a sweep; `finished`: its summary."""
 
     finished: Finished
+    json_keys = "*finished"
 
     @property
     def partial(self) -> bool:  # type: ignore[override]
@@ -213,7 +204,6 @@ class _Run:
     jobs: int = 0
     rollouts: int = 0
     reused: int = 0
-    earlier: int = 0
 
     def tasks(self, jobs: Iterable[Job]) -> Iterator[cases.Task]:
         """The tasks of one job after the other; a job without missing ids is finished at once."""
@@ -232,10 +222,7 @@ class _Run:
                 yield cases.Task(job.case, team, part, ticket)
 
     def _wanted(self, job: Job, team: cases.Team, model: RolloutChoices) -> cases.Wanted:
-        key, before = cases.run_key(team, model), self.places.earlier_key(job.case, team, model)
-        if before is not None and self.store.held(before):
-            self.earlier += 1
-            self.store.label(before, {cases.RULES: RELEASES[BEFORE]})
+        key = cases.run_key(team, model)
         missing = self.store.missing(key, 0, job.rollouts)
         held = job.rollouts - sum(stop - start for start, stop in missing)
         if held:
@@ -268,7 +255,7 @@ class _Run:
     def finished(self, partial: bool = False) -> Finished:
         """The summary."""
         seconds = time.perf_counter() - self.clock
-        return Finished(self.jobs, self.rollouts, self.reused, seconds, partial, self.earlier)
+        return Finished(self.jobs, self.rollouts, self.reused, seconds, partial)
 
 
 def share_of(team: cases.Team) -> int:
@@ -289,16 +276,13 @@ def _split(wanted: list[cases.Wanted], share: int) -> list[tuple[cases.Wanted, .
 
 # Runs whose simulation rules a later release changed (`planner.world.scenario_features`) are never mixed with others.
 #
-# Runs that follow rules changed in 0.4 have the label RULES. A sweep adds this label to the earlier runs that it does
-# not use; `results` infers it for other runs of the same setting, which differ only in the map.
+# Runs that follow rules changed in 0.4 have the label RULES. `results` infers the label of earlier runs of the same
+# setting, which differ only in the map.
 
 MAP_LABELS = ("map", "rollout_seed")
 """Labels that distinguish maps of one setting; all others distinguish settings."""
-EARLIER, LATEST = RELEASES[BEFORE], RELEASES[NOW]
-DETECTOR = re.compile(r"~[0-9a-f]+\[.+\]")
-"""Pattern in the identity of a world whose robots have a detector."""
-CHANGES = "?"
-"""Mark in the identity of a world whose threats change, move, or are uncertain."""
+EARLIER = "before 0.4"
+"""The label RULES of earlier runs."""
 
 
 def setting_of(what: Mapping[str, cases.Label]) -> str:
@@ -308,42 +292,7 @@ def setting_of(what: Mapping[str, cases.Label]) -> str:
 
 def runs_by_rules(store: Store) -> Iterator[Run]:
     """All runs; those by earlier rules than others of their setting get the label EARLIER."""
-    latest = {setting_of(what) for what in store.labels() if what.get(cases.RULES) == LATEST}
+    latest = {setting_of(what) for what in store.labels() if what.get(cases.RULES) == cases.LATEST}
     for run in store.runs():
         is_earlier = cases.RULES not in run.what and setting_of(run.what) in latest
         yield replace(run, what=run.what | {cases.RULES: EARLIER}) if is_earlier else run
-
-
-def follows_earlier_rules(run: Run, store: Store, homes: dict[str, bool]) -> bool | None:
-    """Whether a run without the label RULES follows rules that release 0.4 changed; None: possibly.
-
-    `homes`: cache by setting, whether robots return to base; one block is read for each setting.
-    """
-    what, world = run.what, str(run.facts["world"])
-    if what.get("loop") == "closed":
-        if DETECTOR.search(world) or what.get("return_to") is not None:
-            return True
-        setting = setting_of(what)
-        if setting not in homes:
-            tally = store.tally(run.key)
-            homes[setting] = tally is not None and len(tally.home) > 0
-        if homes[setting]:
-            return True
-    plan_on = what.get("plan_on")
-    if what.get("phases") is not None:
-        return plan_on in (None, "now")
-    if what.get("moving_threats") is not None:
-        return plan_on is None
-    is_uncertain = any(what.get(name) is not None for name in ("latent_hazard", "map_uncertainty"))
-    return None if CHANGES in world and not is_uncertain else False
-
-
-def earlier_note(sure: int, unsure: int) -> list[str]:
-    """The note on runs that follow, and that may follow, rules changed in release 0.4."""
-    if not sure + unsure:
-        return []
-    follow = "follows" if sure == 1 else "follow"
-    parts = [f"{counted(sure, 'run')} {follow} rules that release 0.4 changed"] if sure else []
-    parts += [f"{counted(unsure, 'run')} may, if threats change with time or `plan_on` is not set"] if unsure else []
-    changed = "phases, detectors, return home, moving threats"
-    return [f"{', and '.join(parts)} ({changed}): run the sweep again to renew them"]

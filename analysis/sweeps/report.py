@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +14,13 @@ from analysis.page.elements import CURVE_COLOURS as COLOURS
 from analysis.page.elements import Chart, Series
 from analysis.report.model import Report, Section
 from analysis.statistics.estimates import Estimate
-from analysis.sweeps.cases import RULES, Label, format_label
-from analysis.sweeps.results import DIFFERENCES, EXACT, FIGURES, FRACTIONS, Results, Row
+from analysis.sweeps.cases import Label, format_label
+from analysis.sweeps.results import FIGURES, FRACTIONS, Results, Row
 from analysis.sweeps.sweep import Sweep
-from analysis.utils.tables import csv_text, make_table
-from planner.arguments import argument, check_word
-from planner.files import Json, atomic_write
+from analysis.utils.tables import Column, csv_text, table_of
+from planner.arguments import check_word
+from planner.files import atomic_write
 from planner.formatting import counted, duration, in_percent
-from planner.simulator.codes import Outcome
-from planner.world.start_rule import BEFORE, RELEASES
 
 NAMES = {
     "visited": "cells visited, of the accessible ones",
@@ -49,8 +46,8 @@ def of_sweep(sweep: Sweep) -> Report:
     settings |= {f"base: {name}": str(value) for name, value in spec.base.items()}
     settings |= {f"swept: {name}": ", ".join(str(value) for value in values)[:200] for name, values in spec.swept}
     return Report(
-        "sweep", "sweep", spec.source.stem, headline(sweep), partial(sweep_json, sweep),
-        took=[done_words(sweep)], parts=[_rows_part(rows, charted=True)], notes=notes_of(sweep), settings=settings,
+        "sweep", "sweep", spec.source.stem, headline(sweep), sweep,
+        took=[done_words(sweep)], parts=[_rows_part(rows, charted=True)], notes=sweep.notes, settings=settings,
         pictures={f"{figure}.png": partial(_charts, rows, [figure]) for figure in PICTURES},
         files={"rows.csv": partial(rows_csv, rows)},
     )  # fmt: skip
@@ -61,7 +58,7 @@ def of_results(results: Results) -> Report:
     common = ", ".join(f"{name} {format_label(value)}" for name, value in results.common.items())
     said = f"{counted(results.runs, 'run')}{': ' if common else ''}{common}"
     parts = [_rows_part(results.rows)]
-    return Report("results", "results", "", said, partial(results_json, results), parts=parts, notes=results.notes)
+    return Report("results", "results", "", said, results, parts=parts, notes=results.notes)
 
 
 def headline(sweep: Sweep) -> str:
@@ -97,28 +94,6 @@ def done_words(sweep: Sweep) -> str:
     return said + "."
 
 
-def notes_of(sweep: Sweep) -> list[str]:
-    """Notes on precision: the source of the spread, and whether the target was reached."""
-    notes = []
-    share = sweep.within_share
-    if share is not None:
-        what = "more maps" if share < 0.5 else "more rollouts a map, or more maps,"
-        noise = f"{100 * share:.1f} % of the spread between maps is noise of the rollouts"
-        notes.append(f"where the interval is widest, {noise}: {what} narrow it")
-    if not sweep.reached and not sweep.partial:
-        notes.append(f"{argument('precision')} was not reached with the largest numbers of maps and rollouts")
-    for outcome in (Outcome.STEP_LIMIT, Outcome.DEADLINE):
-        cut = sum(row.outcomes[outcome.word] for row in sweep.rows)
-        if cut:
-            notes.append(f"{counted(cut, 'rollout')} ended by {outcome.word}: the mission {outcome.clause}")
-    if earlier := sweep.finished.earlier:
-        notes.append(
-            f"the store holds {counted(earlier, 'run')} of these by rules that release 0.4 changed: they are kept, "
-            f"and not used here (in `results` they have the label {RULES} {RELEASES[BEFORE]})"
-        )
-    return notes
-
-
 def _rows_part(rows: Sequence[Row], charted: bool = False) -> Section:
     """The table with its notes; `charted`: with curves on a page."""
     notes, counts = list[str](), {(row.maps, row.rollouts) for row in rows}
@@ -139,30 +114,31 @@ def _rows_part(rows: Sequence[Row], charted: bool = False) -> Section:
 
 def rows_table(rows: Sequence[Row]) -> Table:
     """One line for each row: means with half the width of their 95 % intervals."""
-    names = list(dict.fromkeys(name for row in rows for name in row.labels))
-    counts = [(row.maps, row.rollouts) for row in rows]
-    uneven, compared = len(set(counts)) > 1, any(row.difference("visited") is not None for row in rows[1:])
-    labels = [name.replace("_", " ") for name in names]
-    figures = (*(("maps", "rollouts") if uneven else ()), "visited, %", "survived, %", "open, %", "complete, %", "time")
-    columns = (*labels, *figures, *(("more than first, points",) if compared else ()))
-    table = make_table(columns, left=labels, dropped=("open, %", "survived, %", "complete, %"))
-    for number, row in enumerate(rows):
-        cells = [format_label(row.labels.get(name)) for name in names]
-        cells += [f"{row.maps:,}", f"{row.rollouts:,}"] if uneven else []
-        cells += [percent(row.estimate("visited")), percent(row.estimate("survived"))]
-        known = row.known("exact visited")
-        cells += ["" if known is None else in_percent(known.mean, 2), percent(row.estimate("complete"))]
-        cells.append(around(row.estimate("time")))
-        if compared:
-            change = row.difference("visited") if number else None
-            cells.append("" if change is None else change.around(100, "+", digits=2 if change.half_width < 0.01 else 1))
-        table.add_row(*cells)
-    return table
+    uneven = len({(row.maps, row.rollouts) for row in rows}) > 1
+    compared = any(row.difference("visited") is not None for row in rows)
+
+    def label(name: str) -> Column:
+        return Column(name.replace("_", " "), lambda row: format_label(row.labels.get(name)), words=True)
+
+    columns = (
+        *map(label, dict.fromkeys(name for row in rows for name in row.labels)),
+        Column("maps", lambda row: f"{row.maps:,}", shown=uneven),
+        Column("rollouts", lambda row: f"{row.rollouts:,}", shown=uneven),
+        Column("visited, %", lambda row: percent(row.estimate("visited"))),
+        Column("survived, %", lambda row: percent(row.estimate("survived"))),
+        Column("open, %", lambda row: (known := row.known("exact visited")) and in_percent(known.mean, 2)),
+        Column("complete, %", lambda row: percent(row.estimate("complete"))),
+        Column("time", lambda row: around(row.estimate("time"))),
+        Column("more than first, points", lambda row: (more := row.difference("visited")) and percent(more, sign="+"),
+               shown=compared),
+    )  # fmt: skip
+    return table_of(columns, rows, dropped=("open, %", "survived, %", "complete, %"))
 
 
-def percent(estimate: Estimate, unit: str = "") -> str:
-    """A fraction with its interval, in percent; `unit` follows the mean, or the half-width."""
-    return estimate.around(100, most=100, digits=2 if estimate.half_width < 0.01 else 1, unit=unit)
+def percent(estimate: Estimate, unit: str = "", sign: str = "") -> str:
+    """A fraction with its interval, in percent; `unit` follows the mean, or the half-width. `sign`: "+", a change."""
+    most = None if sign else 100
+    return estimate.around(100, sign, most=most, digits=2 if estimate.half_width < 0.01 else 1, unit=unit)
 
 
 def around(estimate: Estimate) -> str:
@@ -222,45 +198,6 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def row_json(row: Row) -> Json:
-    """Coverage as fractions, time in steps; undefined values are None."""
-    return {
-        "setting": row.labels,
-        "maps": row.maps,
-        "rollouts": row.rollouts,
-        "outcomes": dict(row.outcomes),
-        **{name: row.estimate(name) for name in FIGURES},
-        "open_loop_exact": {name: row.known(f"exact {name}") for name in EXACT},
-        "ideal_team": row.known("ideal"),
-        "difference_from_first": {name: row.difference(name) for name in DIFFERENCES},
-        "within_share": row.within_share,
-    }
-
-
-def sweep_json(sweep: Sweep) -> Json:
-    """The settings of the sweep, the rows, and the numbers of simulated and reused rollouts."""
-    spec = sweep.spec
-    asked = {"spec": str(spec.source), "maps": spec.maps, "first_seed": None if spec.maps is None else spec.first_seed}
-    found = {name: getattr(sweep, name) for name in ("precision", "widest", "within_share", "partial")}
-    return {
-        **asked,
-        "rollouts": spec.rollouts,
-        "seed": spec.base["seed"],
-        "settings": [row_json(row) for row in sweep.rows],
-        **sweep.finished.to_json(),
-        **found,
-        "precision_reached": sweep.reached if sweep.precision is not None else None,
-        "notes": notes_of(sweep),
-        "version": version("mrac-jax"),
-    }
-
-
-def results_json(results: Results) -> Json:
-    """The store, the common labels of its runs, and the rows."""
-    fields = {name: getattr(results, name) for name in ("store", "runs", "common", "pooled", "notes")}
-    return {**fields, "settings": [row_json(row) for row in results.rows]}
-
-
 def rows_csv(rows: Sequence[Row]) -> str:
     """Labels, counts, then mean, se, low and high of every figure."""
     names = list(dict.fromkeys(name for row in rows for name in row.labels))
@@ -269,7 +206,7 @@ def rows_csv(rows: Sequence[Row]) -> str:
 
     def values(row: Row) -> Iterator[object]:
         yield from (*(row.labels.get(name) for name in names), row.maps, row.rollouts)
-        for found in map(row.estimate, FIGURES):
+        for found in row.figures.values():
             yield from (found.mean, found.se, *found.ci95)
         yield from (row.estimate("exact visited").mean, row.estimate("ideal").mean)
 

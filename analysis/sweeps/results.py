@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from itertools import islice, product
 from math import isfinite, nan
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ from analysis.statistics.variance_reduction import (
 )
 from analysis.statistics.variance_reduction import FIGURES as BESIDE_LUCK
 from analysis.sweeps.cases import RULES, Label, format_label
-from analysis.sweeps.engine import EARLIER, MAP_LABELS, earlier_note, follows_earlier_rules, runs_by_rules
+from analysis.sweeps.engine import EARLIER, MAP_LABELS, runs_by_rules
 from analysis.sweeps.spec import WORLD, is_path
 from analysis.sweeps.store import Run, Store
 from planner.arguments import MAX_STEP, MOST_ROLLOUTS, argument, check_word
@@ -122,10 +122,11 @@ class Moments:
 
 # Rows of results: one setting with its figures as means over maps, for `sweep` and `results`.
 
-FRACTIONS = ("visited", "survived", "visited_of_free", "survived_of_free")
-FIGURES = (*FRACTIONS, "complete", "time", "alive")
+Figure = Literal["visited", "survived", "visited_of_free", "survived_of_free", "complete", "time", "alive"]
+FIGURES: tuple[Figure, ...] = get_args(Figure)
 """Figures of runs: coverage as a fraction of the accessible or of the free cells, the fraction of rollouts that covered
 everything, time in steps, robots alive at the end."""
+FRACTIONS = FIGURES[:4]
 EXACT = ("visited", "survived")
 REACH = {"alive": "robots", "time": "longest"}
 """Facts of a run that bound a figure; coverage and chances are at most 1."""
@@ -152,6 +153,10 @@ class Row:
     apart: Moments = field(default_factory=lambda: Moments(len(DIFFERENCES), 2 * BESIDE - 1))
     first: Moments | None = None
     single: dict[str, Estimate] = field(default_factory=dict)
+    json_keys = """
+        setting=labels maps rollouts outcomes *figures open_loop_exact ideal_team difference_from_first=differences
+        within_share
+    """
 
     def add(
         self,
@@ -191,6 +196,26 @@ class Row:
         reach, (mine, theirs) = self.reach(name), (of.weights(KEPT[name]) for of in (self.moments, self.first))
         weights = np.concatenate([mine, -theirs[1:]])
         return self.apart.estimate(DIFFERENCES.index(name), -reach, reach, weights)
+
+    @property
+    def figures(self) -> dict[Figure, Estimate]:
+        """Every figure."""
+        return {name: self.estimate(name) for name in FIGURES}
+
+    @property
+    def open_loop_exact(self) -> dict[str, Estimate | None]:
+        """Coverage of the open loop by meaning, where it is known."""
+        return {name: self.known(f"exact {name}") for name in EXACT}
+
+    @property
+    def ideal_team(self) -> Estimate | None:
+        """Upper bound of the team's coverage, where it is known."""
+        return self.known("ideal")
+
+    @property
+    def differences(self) -> dict[str, Estimate | None]:
+        """Each of DIFFERENCES from the first row."""
+        return {name: self.difference(name) for name in DIFFERENCES}
 
     @property
     def within_share(self) -> float | None:
@@ -413,6 +438,7 @@ class Results(Result):
     runs: int
     notes: tuple[str, ...]
     pooled: tuple[str, ...]
+    json_keys = "store runs common pooled notes settings=rows"
 
 
 Group = dict[tuple[str, Label], list[Part]]
@@ -458,13 +484,10 @@ def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
     wanted = list(dict.fromkeys([*by, RULES] if apart else by)) if by else varying
     pooled = tuple(name for name in varying if name not in wanted)
     groups: dict[tuple[Label, ...], Group] = {}
-    homes, older = dict[str, bool](), Counter[bool | None]()
     for run in select(store, where):
-        if RULES not in run.what and not run.facts.get("rules"):
-            older[follows_earlier_rules(run, store, homes)] += 1
         group = groups.setdefault(tuple(run.what.get(name) for name in wanted), {})
         group.setdefault(map_of(run), []).append(part_of(run, pooled))
-    notes = _pooled_notes(seen, wanted, pooled) + earlier_note(older[True], older[None])
+    notes = _pooled_notes(seen, wanted, pooled)
     rows, runs = [], 0
     for place in sorted(groups, key=lambda values: [_order(value) for value in values]):
         labels, group = dict(zip(wanted, place, strict=True)), _in_order(groups[place])

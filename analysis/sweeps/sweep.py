@@ -24,6 +24,8 @@ from analysis.sweeps.store import Store, StoreError
 from planner.arguments import BLOCK, MOST_ROLLOUTS, argument
 from planner.errors import UsageError
 from planner.files import Json
+from planner.formatting import counted
+from planner.simulator.codes import Outcome
 
 Watch = Callable[[int, int, float, str], None]
 """`watch(jobs, total, seconds, more)`: jobs done of the total, seconds since the start, a text with the half-width of
@@ -32,7 +34,10 @@ the widest 95 % interval of mean visited coverage, "" before there is one."""
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sweep(Swept):
-    """The result of a sweep. `rows` are in the order of the settings; partial: interrupted."""
+    """The result of a sweep. `rows` are in the order of the settings; partial: interrupted.
+
+    `reached`: whether the intervals are within the requested `precision`; None: none was requested.
+    """
 
     reported_by = "analysis.sweeps.report:of_sweep"
     listed = "settings"
@@ -41,7 +46,37 @@ class Sweep(Swept):
     rows: tuple[Row, ...]
     finished: Finished
     precision: float | None = None
-    reached: bool = True
+    reached: bool | None = None
+    json_keys = """
+        spec=spec.source spec.maps first_seed spec.rollouts seed settings=rows precision widest within_share partial
+        precision_reached=reached notes
+    """
+
+    @property
+    def first_seed(self) -> int | None:
+        """Seed of the first random map; None: a single map."""
+        return None if self.spec.maps is None else self.spec.first_seed
+
+    @property
+    def seed(self) -> int:
+        """Seed of the rollouts on the first map."""
+        return int(self.spec.base["seed"])
+
+    @property
+    def notes(self) -> list[str]:
+        """Notes on precision: the source of the spread, and whether the target was reached."""
+        notes, share = list[str](), self.within_share
+        if share is not None:
+            what = "more maps" if share < 0.5 else "more rollouts a map, or more maps,"
+            noise = f"{100 * share:.1f} % of the spread between maps is noise of the rollouts"
+            notes.append(f"where the interval is widest, {noise}: {what} narrow it")
+        if self.reached is False and not self.partial:
+            notes.append(f"{argument('precision')} was not reached with the largest numbers of maps and rollouts")
+        for outcome in (Outcome.STEP_LIMIT, Outcome.DEADLINE):
+            cut = sum(row.outcomes[outcome.word] for row in self.rows)
+            if cut:
+                notes.append(f"{counted(cut, 'rollout')} ended by {outcome.word}: the mission {outcome.clause}")
+        return notes
 
     @property
     def widest_row(self) -> Row | None:
@@ -112,12 +147,7 @@ class _Table:
 
 
 def run_sweep(
-    spec: Spec,
-    store: Store,
-    *,
-    precision: float | None = None,
-    watch: Watch | None = None,
-    **where: Any,
+    spec: Spec, store: Store, *, precision: float | None = None, watch: Watch | None = None, **where: Any
 ) -> Sweep:
     """Run a sweep into a store; stored rollouts are not simulated again.
 
@@ -145,7 +175,6 @@ def run_sweep(
             sums.reused + (finished.reused if maps.start or not sums.jobs else 0),
             time.perf_counter() - clock,
             finished.partial,
-            max(sums.earlier, finished.earlier) if asked.maps is None else sums.earlier + finished.earlier,
         )
         narrow = precision is None or bool(table.next and table.widest() < precision)
         if sums.partial or narrow:
@@ -153,7 +182,7 @@ def run_sweep(
     rows = table.rows()
     if sums.partial and not rows:
         raise KeyboardInterrupt
-    return Sweep(asked, rows, sums, precision, narrow)
+    return Sweep(asked, rows, sums, precision, None if precision is None else narrow)
 
 
 def check_precision(precision: float | None) -> None:

@@ -347,10 +347,13 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
     - Persistent hazards: inclusion-exclusion over sets of robots (`_joint`); NaN for consumed hazards in shared cells.
     - Moving threats make robots dependent: known for one robot, on maps that are not too large (`chances_among`).
     - Phases: p of an entry is that of its step.
+    - Lost robots that block cells make robots dependent: NaN for several.
     - Robots that do not know the map meet the true map; NaN for a robot that would drive into an obstacle.
 
     Source: docs/spec.md, section 6.
     """
+    if plan.settings is not None and plan.settings.blocks and len(plan.robots) > 1:
+        return _of_each_alone(plan, world)
     if world.movers is not None and len(plan.robots) == 1 and is_worth_it(world, plan.makespan):
         waits = max(plan.time - plan.makespan, 0)  # external plans have no waits
         one = chances_among(plan.robots[0], world, plan.failure_model, waits)

@@ -320,10 +320,10 @@ def within(world: World, plan: Plan) -> NDArray[np.bool_]:
     moves, settings = moves_left(plan), plan.settings
     if moves is None or settings is None:
         return world.accessible(plan.starts)
-    width, steps = world.shape[1], _graph(world)
+    steps = _graph(world)
     found = np.zeros(world.threat.size, dtype=bool)
-    starts = (plan.starts @ (width, 1)).tolist()
-    bases = [()] * len(starts) if settings.return_to is None else _bases(plan, settings.return_to, width)
+    starts = (plan.starts @ (world.shape[1], 1)).tolist()
+    bases = [tuple(sorted(own)) for own in plan.bases] or [()] * len(starts)
     for start, most, own in sorted(set(zip(starts, moves, bases, strict=True))):
         if most >= 0:
             found |= _visitable(steps, start, most, own, recharged=settings.recharge is not None)
@@ -344,16 +344,6 @@ def _visitable(
         if not recharged or np.array_equal(full, reached):
             return found
         reached = full
-
-
-def _bases(plan: Plan, return_to: str | tuple[tuple[int, int], ...], width: int) -> list[tuple[int, ...]]:
-    """The cells of each robot's bases."""
-    homes = (plan.starts @ (width, 1)) if plan.state is None else plan.state.homes(return_to)
-    assert homes is not None
-    if return_to == "home":
-        return [(home,) for home in homes.tolist()]
-    shared = np.unique(homes) if isinstance(return_to, str) else np.unique(np.array(return_to) @ (width, 1))
-    return [tuple(shared.tolist())] * len(homes)
 
 
 def _graph(world: World) -> csr_array:

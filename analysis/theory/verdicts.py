@@ -253,11 +253,12 @@ def as_stated(plan: Plan, world: World, outcomes: NDArray[np.float64], how: str)
 
 
 def _is_cut_off(plan: Plan) -> bool:
-    """True if runs may end before all is covered or lost (cut off, not worth the risk, range), or began mid-mission."""
+    """True if runs may end before all is covered or lost (cut off, risk, range, wrecks), or began mid-mission."""
     settings = plan.settings
     return (
         plan.state is not None
         or settings is None
+        or settings.blocks
         or any(limit is not None for limit in (settings.last_step, settings.robot_value, settings.range))
     )
 

@@ -19,10 +19,13 @@ from rich.text import Text
 
 from planner.arguments import argument
 from planner.errors import UsageError, visible
-from planner.formatting import chance, counted
+from planner.formatting import chance, counted, in_percent
 from planner.settings import SETTINGS
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from planner.formatting import Pace
     from planner.plan.plan import Plan
     from planner.settings import Settings
@@ -118,15 +121,17 @@ class FittedTable(Table):
 def make_table(
     columns: Iterable[str],
     title: str | None = None,
+    rows: Iterable[Sequence[str]] = (),
     *,
     left: Container[str] = ("",),
     dropped: Iterable[str] = (),
     **look: Any,
 ) -> FittedTable:
-    """A table without rows.
+    """A table.
 
     Args:
-        columns: their names. title: of the table. left: names of left-aligned columns of words.
+        columns: their names. title: of the table. rows: the texts of its cells.
+        left: names of left-aligned columns of words.
         dropped: names of columns that may be omitted, the least important first, as in `FittedTable`.
         look: as in rich's Table.
     """
@@ -134,6 +139,8 @@ def make_table(
     table.dropped = tuple(dropped)
     for name in columns:
         table.add_column(name, justify="left" if name in left else "right")
+    for row in rows:
+        table.add_row(*row)
     return table
 
 
@@ -175,10 +182,25 @@ def table_of(
     """A table of objects; arguments as in `make_table`."""
     shown = [column for column in columns if column.shown]
     names = [name for column in shown for name in (column.title, *[column.interval] * bool(column.interval))]
-    table = make_table(names, title, left=[one.title for one in shown if one.words], dropped=dropped, **look)
-    for row in rows:
-        table.add_row(*(cell for column in shown for cell in column.cells(row)))
-    return table
+    cells = ([cell for column in shown for cell in column.cells(row)] for row in rows)
+    return make_table(names, title, cells, left=[one.title for one in shown if one.words], dropped=dropped, **look)
+
+
+def robots_table(plan: Plan, survival: Sequence[float] | NDArray[np.float64], title: str | None = None) -> FittedTable:
+    """A row for each robot of a plan; `survival`: the probability of each to survive its nominal path."""
+    from planner.plan.plan import drive_of
+
+    drive = drive_of(robot.path for robot in plan.robots)
+    columns = (
+        Column("robot", lambda k: k),
+        Column("start", lambda k: list(divmod(int(plan.robots[k].path[0]), plan.shape[1]))),
+        Column("moves", lambda k: f"{drive.moves[k]:,}"),
+        Column("quarter turns", lambda k: f"{drive.turns[k]:,}"),
+        Column("areas covered", lambda k: "" if plan.is_external
+               else sum(leg.kind == "cover" for leg in plan.robots[k].legs)),
+        Column("survives its path, %", lambda k: in_percent(survival[k], 2)),
+    )  # fmt: skip
+    return table_of(columns, range(len(plan.robots)), title)
 
 
 def print_lines(console: Console, lines: Sequence[str]) -> None:
@@ -328,13 +350,18 @@ def json_text(content: object, *, compact: bool = False) -> str:
     return json.dumps(content, allow_nan=False, **look) + "\n"
 
 
-def write_all(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
-    """Write files into `folder` (created if necessary), each completely or not at all; returns their paths."""
+def make_folder(folder: Path, name: str = "folder") -> None:
+    """Make a folder, with its parents, if there is none. Raises UsageError that names the argument `name`."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        problem = f"{argument('folder')} {folder} cannot be written ({error.strerror})"
+        problem = f"{argument(name)} {visible(str(folder))} cannot be written ({error.strerror})"
         raise UsageError(problem, expected="a folder to write to") from error
+
+
+def write_all(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
+    """Write files into `folder` (created if necessary), each completely or not at all; returns their paths."""
+    make_folder(folder)
     from planner.files import atomic_write
 
     written: list[Path] = []

@@ -211,7 +211,7 @@ def report(study: Study) -> Report:
     kinds, _, policies = (list(dict.fromkeys(names)) for names in zip(*study.teams, strict=True))
     charts = {policy: [_chart(study, kind, policy) for kind in kinds] for policy in policies}
     return Report(
-        question.name, "reproduce", question.title, headline(study), partial(study_json, study),
+        question.name, "reproduce", question.title, headline(study), study_json(study),
         heading=[
             f"{counted(study.maps, 'map')} a point, {counted(study.rollouts, 'rollout')} a map, first seed {study.seed}"
         ],

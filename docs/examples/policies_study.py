@@ -245,7 +245,7 @@ def report(study: Study) -> Report:
     fronts = {robots: [_front(study, robots, kind) for kind in KINDS] for robots in FRONT_TEAMS}
     gains, charts = [_gains(study, kind) for kind in KINDS], [one for pair in fronts.values() for one in pair]
     return Report(
-        "policies", "reproduce", "What policies bring", headline(study), partial(study_json, study),
+        "policies", "reproduce", "What policies bring", headline(study), study_json(study),
         heading=[
             f"{counted(maps, 'map')} a point, {counted(study.rollouts, 'rollout')} a map, first seed {study.seed}"
         ],

@@ -34,6 +34,7 @@ def check_supported(loop: ClosedLoop) -> None:
         raise WorldError(problem, expected="a product below 2**30 for the closed loop in JAX", fix=fix)
     of_the_map = {
         "threats that change with time": len(t.phases) > 0,
+        argument("wrecks", "block"): len(t.odds) > 0 and not loop.is_uncertain,
         "robots that learn the map": loop.learns,
         "an uncertain map": loop.is_uncertain,
         "moving threats": loop.movers is not None,

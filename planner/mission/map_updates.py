@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.arguments import MAX_PLAN_BYTES, is_whole, whole
+from planner.arguments import MAX_PLAN_BYTES, Numbers, is_whole, whole
 from planner.errors import StateError, WorldError
 from planner.files import Json, read_json, write_json
 from planner.make_plan import areas_of, make_plan
@@ -231,18 +231,13 @@ def closed_by(given: ArrayLike, reports: Reports) -> tuple[NDArray[np.int64], Wo
         if cell in cells:
             problem = f"robot {number} is at {at(cell, world)}, which is to be closed"
             raise StateError(problem, expected="cells without a robot", fix="close it when the robot has left it")
-    without = closed_world(world, cells)
+    without = seen_world(world, dict.fromkeys(cells.tolist()))
     part = without.components.ravel()
     for number, cell in reported:
         if part[cell] != part[fleet.cell(number)]:
             problem = f"closing these cells cuts robot {number} off from {at(cell, world)}"
             raise StateError(problem, expected="cells to close once the step in which it went there is over")
     return cells, without
-
-
-def closed_world(world: World, cells: NDArray[np.int64]) -> World:
-    """The world with these cells, int64, as obstacles."""
-    return seen_world(world, dict.fromkeys(cells.tolist()))
 
 
 def closed_state(state: MissionState, world: World, levels: int) -> MissionState:
@@ -310,6 +305,7 @@ class HazardUpdates:
     Attributes:
         phases: of its threats, or None. evidence: of its hazards, or None.
         odds: int64 `[N]`, log odds of a hazard in each cell; empty without evidence.
+        wrecks: cells of lost robots that become obstacles once no live robot is there, by robot; None: none does.
     """
 
     def __init__(self, world: World, plan: Plan) -> None:
@@ -327,21 +323,35 @@ class HazardUpdates:
             world.require_known_map("a mission on external paths, or whose legs stay in their area,")
         self.odds = np.zeros(0, dtype=np.int64) if self.evidence is None else self.evidence.prior.copy()
         self._happened: set[int] = set()
+        self.wrecks: dict[int, int] | None = {} if plan.settings is not None and plan.settings.blocks else None
 
     def __bool__(self) -> bool:
         return self.evidence is not None or self.phases is not None
 
-    def learn(self, cell: int, *, stopped: bool) -> None:
-        """Update the estimate after a visit.
+    def learn(self, robot: int, cell: int, *, stopped: bool) -> None:
+        """Update the estimate, and the wrecks, after a visit.
 
         Args:
-            cell: index.
+            robot, cell: indices.
             stopped: whether the robot is lost in it.
         """
+        if stopped and self.wrecks is not None:
+            self.wrecks[robot] = cell
         if self.evidence is not None:
             at = np.array([cell])
             self.odds[at] = self.evidence.stop if stopped else added(self.odds[at], -self.evidence.survival[at])
             self._happened.add(cell)
+
+    def new_wrecks(self, places: Mapping[int, int]) -> set[int]:
+        """Cells of lost robots that become obstacles at the end of a step.
+
+        Args:
+            places: the cell of each robot that is not lost. A robot that was found again is no wreck.
+        """
+        wrecks = {robot: cell for robot, cell in (self.wrecks or {}).items() if robot not in places}
+        if self.wrecks:
+            self.wrecks = {robot: cell for robot, cell in wrecks.items() if cell in places.values()}
+        return {*wrecks.values()} - {*places.values()}
 
     def last_update(self, accessible: NDArray[np.bool_]) -> int:
         """Begin of the last announced phase that changes p of an accessible cell `[N]`; 0: none."""
@@ -390,9 +400,8 @@ class HazardUpdates:
         Raises:
             StateError: the content is invalid.
         """
-        for item in key.items("a list of [cell, odds]", least=0):
-            cell, odds = item.items("[cell, odds]", exactly=2)
-            self.odds[cell.number(whole(0, len(self.odds) - 1))] = odds.number(whole(-ALWAYS, ALWAYS))
+        for cell, odds in read_pairs(key, "[cell, odds]", whole(0, len(self.odds) - 1), whole(-ALWAYS, ALWAYS)).items():
+            self.odds[cell] = odds
 
 
 # Mission files, written atomically and to the disk before orders are given, so that a mission survives its process.
@@ -403,6 +412,7 @@ class HazardUpdates:
 
 DEFAULTS: dict[str, Any] = {"world": {}, "begun": True, "range": None, "ended": None, "over": None}
 DEFAULTS |= {name: [] for name in ("closed", "seen", "sees", "odds", "aside", "reports", "heard", "waits")}
+DEFAULTS |= {"wrecks": [], "cut_off": []}
 """Optional keys of a file in addition to a state, or without one."""
 FLAGS = ("stopped", "found")
 OF_REPORTS: dict[str, Any] = dict.fromkeys(("cell", "moves_left", "step", "seen")) | dict.fromkeys(FLAGS, False)
@@ -445,14 +455,15 @@ def read_rest(path: str | Path, world: World, plan: Plan) -> tuple[World, Plan, 
     """
     source, (data, keys) = str(path), _read(path)
     given, (world, changed) = world, _as_known(world, keys)
-    settings = plan.settings or Settings()
+    settings = replace(plan.settings or Settings(), wrecks="ignore")
     if "range" in data:  # reported ranges, which hand-written states lack
         settings = replace(settings, range=keys["range"].setting(SETTINGS["range"]))
     if keys["begun"].value is False:
         check_map(keys["world"], world, "state of", ON_ITS_MAP)
         same = not changed and settings == plan.settings
         return world, plan if same else make_plan(world, plan.starts, settings), keys
-    state = parse_state(data, world, source, given)
+    # Where wrecks cut cells off, a mission is not over yet when all cells in reach are visited.
+    state = parse_state(data, world, source, given, waits=bool(keys["cut_off"].value))
     if state.over is not None:
         state = replace(state, over=_outcome(keys["over"], settings))
     return world, make_plan(replace(world, uncertainty=None), state.starts, settings, state=state), keys
@@ -496,8 +507,8 @@ def _as_known(world: World, keys: dict[str, Key]) -> tuple[World, bool]:
     seen = read_seen(keys["seen"])
     for one in seen:
         cell.check("seen", one, StateError, str(keys["seen"].source))
-    known = seen_world(world, seen) if seen else world
-    return (closed_world(known, np.array(closed, dtype=np.int64)) if closed else known), bool(seen or closed)
+    told = seen | dict.fromkeys(closed)
+    return (seen_world(world, told) if told else world), bool(told)
 
 
 def read_seen(key: Key) -> Seen:
@@ -506,11 +517,17 @@ def read_seen(key: Key) -> Seen:
     Raises:
         StateError: the content is invalid.
     """
-    found: Seen = {}
-    for item in key.items("a list of [cell, p]", least=0):
-        cell, p = item.items("[cell, p]", exactly=2)
-        found[cell.number(whole(0, MAX_CELLS))] = None if p.value is None else p.number(PROBABILITY)
-    return found
+    return read_pairs(key, "[cell, p]", whole(0, MAX_CELLS), PROBABILITY, optional=True)
+
+
+def read_pairs(key: Key, expected: str, first: Numbers, second: Numbers, *, optional: bool = False) -> dict[int, Any]:
+    """The second number by the first, from a list of pairs; `optional`: the second may be null.
+
+    Raises:
+        StateError: the content is invalid.
+    """
+    pairs = (item.items(expected, exactly=2) for item in key.items(f"a list of {expected}", least=0))
+    return {one.number(first): None if optional and two.value is None else two.number(second) for one, two in pairs}
 
 
 def _read(path: str | Path) -> tuple[Json, dict[str, Key]]:

@@ -6,6 +6,7 @@ failure sampling give the same run, event for event (`planner.rollouts.single_ru
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
@@ -18,20 +19,8 @@ from planner.errors import StateError
 from planner.failure_model import exposure_of
 from planner.files import Json, check_new
 from planner.make_plan import allocated_plan, make_plan
-from planner.mission.map_updates import (
-    HazardUpdates,
-    Seen,
-    closed_by,
-    closed_state,
-    hand_on,
-    learned_state,
-    read_rest,
-    read_seen,
-    seen_by,
-    seen_world,
-    surprises,
-    write_mission,
-)
+from planner.mission import map_updates
+from planner.mission.map_updates import HazardUpdates, Seen
 from planner.mission.team_control import Fleet, Order, Report, Reports, Why
 from planner.mrac.problem import NO_LIMIT, ready_loop
 from planner.plan.plan import Plan
@@ -60,7 +49,8 @@ class Mission:
     Attributes:
         world: the map, with everything seen, estimated and closed. given: the initial map. closed: closed cells,
             indices.
-        seen: p by cell, None: an obstacle; estimates included.
+        seen: p by cell, None: an obstacle; estimates and wrecks included.
+        cut_off: cells of wrecks and cells that they cut off, which count for coverage; whether they are visited.
 
     Raises:
         PlanError: the plan is for another map.
@@ -73,6 +63,9 @@ class Mission:
         if world.movers is not None:
             world.require_certain_map("a mission that is driven")
         self.given, self._lessons = world, HazardUpdates(world, plan)
+        if self.blocks and plan.settings is not None:
+            # The plan itself is without wrecks: the mission adds them to the map as observed obstacles.
+            plan = replace(plan, settings=replace(plan.settings, wrecks="ignore"))
         self._file: Path | None = None
         if self._lessons:
             # The plan uses the map as known at the start; `_lessons` adds what robots learn.
@@ -81,15 +74,20 @@ class Mission:
         self.world, self.patience, self.gain = world, patience, gain
         self.closed: list[int] = []
         self.seen: Seen = {}
+        self.cut_off: dict[int, bool] = {}
         self._begin(world, plan)
 
-    def _begin(self, world: World, plan: Plan) -> None:
+    def _begin(self, world: World, plan: Plan, before: Mapping[int, bool] | None = None) -> None:
+        """Begin to follow a plan; `before`: cells that could be visited before a wreck blocked one."""
         # There are no rules yet for reports of robots that differ, or that recharge.
         problem, areas = ready_loop(plan, world)
         problem.settings.require_uniform("a mission that is driven", "recharge", "deliver_every")
         self.world, self._plan = world, plan
-        last_update = self._lessons.last_update(problem.levels.accessible)
-        self._fleet = Fleet(problem, replace(plan, areas=areas), self.gain, last_update)
+        within, free = problem.levels.accessible, world.free.ravel()
+        cut_off = (self.cut_off | dict(before or {})).items()
+        self.cut_off = {cell: was for cell, was in cut_off if not within[cell] and (was or free[cell])}
+        last_update, cut = self._lessons.last_update(within), not all(self.cut_off.values())
+        self._fleet = Fleet(problem, replace(plan, areas=areas), self.gain, last_update, cut)
         robots = self._fleet.loop.robots
         # A resumed mission goes on with the exposure of its state.
         self._borne = list(plan.state.exposures) if plan.state is not None else [0] * robots
@@ -113,12 +111,17 @@ class Mission:
     @property
     def covered(self) -> float:
         """Share of the accessible cells that are visited."""
-        return 1 - self._fleet.unvisited / self.accessible
+        return 1 - (self._fleet.unvisited + [*self.cut_off.values()].count(False)) / self.accessible
 
     @property
     def accessible(self) -> int:
-        """Number of cells that can be visited."""
-        return int(self._fleet.problem.levels.accessible.sum())
+        """Number of cells that can be visited, or could before a wreck."""
+        return int(self._fleet.problem.levels.accessible.sum()) + len(self.cut_off)
+
+    @property
+    def blocks(self) -> bool:
+        """Whether lost robots become obstacles."""
+        return self._lessons.wrecks is not None
 
     @property
     def robots(self) -> int:
@@ -251,10 +254,12 @@ class Mission:
             StateError: the report cannot be true; the mission is unchanged.
         """
         number, late = self._number(robot), len(self._reports.passed)
+        if found and cell is None and self.blocks:
+            raise StateError(f"robot {number} is found without a cell", expected="its cell: lost robots are obstacles")
         before, there = self._reports.seen, {one: report.cell for one, report in self._reports.now.items()}
         if seen is not None:
             # Stored before the report is checked: a robot cannot be in a cell that it reports as an obstacle.
-            self._reports.seen = before | seen_by(seen, self._fleet, there)
+            self._reports.seen = before | map_updates.seen_by(seen, self._fleet, there)
         try:
             new = self._reports.hear(number, cell, step, moves_left, stopped=bool(stopped), found=bool(found))
         except StateError:
@@ -282,20 +287,21 @@ class Mission:
         # Announced phases and estimates first: a reported value replaces them.
         held, reported = fleet.places.values(), self._reports.seen
         told = self._lessons.at_end(fleet.step, self.world, held) | reported
+        wrecks = self._lessons.new_wrecks(fleet.places)
         # A cell that an operator has closed stays closed, whatever is observed there.
-        seen = {cell: p for cell, p in told.items() if cell not in self.closed}
+        seen = {cell: p for cell, p in (told | dict.fromkeys(wrecks)).items() if cell not in self.closed}
         self._reports.clear()
         self._orders = None
-        changed = surprises(self.world, seen)
+        changed = map_updates.surprises(self.world, seen)
         # Taken before the new allocation, which replaces the problem.
         known = fleet.problem.levels.accessible
         # A new allocation needs robots that are alive and steps that are left.
         if len(changed) and held and fleet.step < self.last_step:
-            world = seen_world(self.world, seen, self.given)
-            state, got = learned_state(self.state, world, changed, self.settings)
-            self._go_on(
-                world, allocated_plan(replace(world, uncertainty=None), state.starts, self.settings, state=state)
-            )
+            world = map_updates.seen_world(self.world, seen, self.given)
+            state, got = map_updates.learned_state(self.state, world, changed, self.settings)
+            plan = allocated_plan(replace(world, uncertainty=None), state.starts, self.settings, state=state)
+            cells = np.flatnonzero(known) if wrecks else changed[:0]
+            self._go_on(world, plan, dict(zip(cells.tolist(), fleet.visited[cells].tolist(), strict=True)))
             # A map update is progress, as in a simulated run (SPEC section 15).
             known = known | self._fleet.problem.levels.accessible
             progress = bool(fleet.s.marks.progress) or got or bool(known[changed].any())
@@ -329,7 +335,7 @@ class Mission:
         for number, cell in reports.passed:
             fleet.visit(number, cell)
             if not ahead:
-                self._lessons.learn(cell, stopped=False)
+                self._lessons.learn(number, cell, stopped=False)
         for number in range(self.robots):
             report = reports.now.get(number)
             if report is not None and report.found and not fleet.alive[number]:
@@ -387,7 +393,7 @@ class Mission:
         if came:
             self._borne[number] += int(exposure_of(self._lessons.met(fleet.step, self.world).flat[cell]))
         if came or not fleet.alive[number]:
-            self._lessons.learn(cell, stopped=not fleet.alive[number])
+            self._lessons.learn(number, cell, stopped=not fleet.alive[number])
         self._waits[number] = 0 if came or due is None else self._waits[number] + 1
         if self.patience is not None and self._waits[number] >= self.patience and fleet.doing(number) in WHY:
             fleet.set_aside(number)
@@ -414,20 +420,20 @@ class Mission:
             StateError: a robot is on one of them, or has reported so; they separate a robot from the cell that it
                 reported in this step; or they are not on the map.
         """
-        closed, world = closed_by(cells, self._reports)
+        closed, world = map_updates.closed_by(cells, self._reports)
         if self._fleet.step == NOT_BEGUN:
             plan = make_plan(world, self._plan.starts, self.settings)
         else:
-            state = closed_state(self.state, world, self.settings.levels)
+            state = map_updates.closed_state(self.state, world, self.settings.levels)
             plan = make_plan(replace(world, uncertainty=None), state.starts, self.settings, state=state)
         self._go_on(world, plan)
         self._fleet.come_home()
         self.closed = sorted({*self.closed, *closed.tolist()})
 
-    def _go_on(self, world: World, plan: Plan) -> None:
-        """Continue with another plan, on an updated map."""
+    def _go_on(self, world: World, plan: Plan, before: Mapping[int, bool] | None = None) -> None:
+        """Continue with another plan, on an updated map; `before`: as in `_begin`."""
         kept, reports, aside = (self._borne, self._waits), self._reports, self._aside
-        self._begin(world, plan)
+        self._begin(world, plan, before)
         self._borne, self._waits = kept
         # Reports made before cells were closed still hold.
         self._reports.carry(reports)
@@ -448,9 +454,13 @@ class Mission:
         Raises:
             StateError: the file is invalid.
         """
-        known, rest, keys = read_rest(path, world, plan)
+        known, rest, keys = map_updates.read_rest(path, world, plan)
         mission = cls(known, rest, **how)
         mission.given, mission._file = world, Path(path).resolve()
+        if plan.settings is not None and plan.settings.blocks:
+            cell, robot = whole(0, world.threat.size - 1), whole(0, mission.robots - 1)
+            mission._lessons.wrecks = map_updates.read_pairs(keys["wrecks"], "[robot, cell]", robot, cell)
+            mission._begin(known, rest, map_updates.read_pairs(keys["cut_off"], "[cell, visited]", cell, whole(0, 1)))
         heard, waits = (keys[name].items("a list of steps", least=0) for name in ("heard", "waits"))
         for steps in (heard, waits):
             if steps and len(steps) != mission.robots:
@@ -460,10 +470,10 @@ class Mission:
         robot = whole(0, mission.robots - 1, what="the number of a robot")
         mission._set_aside([one.number(robot) for one in keys["aside"].items("a list of robots", least=0)])
         mission.closed = [one.value for one in keys["closed"].items("a list of cells", least=0)]
-        mission.seen, mission._reports.seen = read_seen(keys["seen"]), read_seen(keys["sees"])
+        mission.seen, mission._reports.seen = map_updates.read_seen(keys["seen"]), map_updates.read_seen(keys["sees"])
         mission._lessons.read(keys["odds"])
         for report in keys["reports"].items("a list of reports", least=0):
-            hand_on(mission.report, report)
+            map_updates.hand_on(mission.report, report)
         step = whole(NOT_BEGUN, mission.step, what="a step that is not to come")
         mission._reports.heard[: len(heard)] = [one.number(step) for one in heard]
         return mission
@@ -490,8 +500,11 @@ class Mission:
         more |= {"closed": self.closed, "range": self.settings.range, "aside": self._aside}
         more |= {"reports": self.as_json(), "heard": self._reports.heard, "waits": self._waits}
         more |= {"odds": self._lessons.to_json()}
+        if self._lessons.wrecks is not None:
+            cut_off = [[cell, int(was)] for cell, was in self.cut_off.items()]
+            more |= {"wrecks": [*self._lessons.wrecks.items()], "cut_off": cut_off}
         more |= {} if self.outcome is None else {"ended": self.known()}
-        write_mission(path, self.world, state, more)
+        map_updates.write_mission(path, self.world, state, more)
         self._file = file
 
     def known(self) -> Json:

@@ -39,13 +39,22 @@ class Fleet(SingleRun):
     _moves_now = False
     """Whether the robot that decided last has a move, which counts as made."""
 
-    def __init__(self, problem: Problem, plan: Plan, gain: float = 1.0, last_update: int = 0) -> None:
-        """Args: `last_update`: begin of the last announced phase that changes the map, 0: none."""
+    def __init__(
+        self, problem: Problem, plan: Plan, gain: float = 1.0, last_update: int = 0, cut_off: bool = False
+    ) -> None:
+        """Prepare the team.
+
+        Args:
+            problem, plan, gain: as in the class.
+            last_update: begin of the last announced phase that changes the map, 0: none.
+            cut_off: whether wrecks cut unvisited cells off, so that the mission is never complete.
+        """
         super().__init__(compile_closed_loop(plan, problem.world, problem=problem, interpreted=True))
         # A visit may destroy a robot in any cell: it counts as survived only once that is reported.
         phases: dict[str, Any] = {"phases": np.zeros(1, dtype=np.int64), "phased": True, "last_update": last_update}
         self.t = self.t._replace(bound=np.zeros_like(self.t.bound), notes=None, **phases)
         self.problem, self.gain, self.aside = problem, gain, set[int]()
+        self.s.marks.unfinished += cut_off
         # A resumed state may be complete already, before any step.
         if self.step != NOT_BEGUN:
             self._review()
@@ -83,8 +92,9 @@ class Fleet(SingleRun):
 
     def end_step(self) -> None:
         """End the step after every robot's turn."""
+        t, p, s, w, log, how = self.t, self.p, self.s, self.w, self.log, self.how
         with np.errstate(over="ignore"):
-            found = interpreted("step").end_step(self.t, self.p, self.s, self.c, self.w, self.log, self.how, self.ids)
+            found = interpreted("step").learn_and_end(t, p, s, self.c, w, log, how, self.ids)
         self.under_way = False
         self.outcome = None if found == NONE else Outcome(int(found))
         self.take_events()
@@ -146,19 +156,16 @@ class Fleet(SingleRun):
             return None
         return int(self.loop.cells[cell])
 
-    def enter(self, number: int) -> None:
-        """The robot has entered the cell that was decided."""
-        me = self.s.robots[number]
-        self._enter(number, me.next if self.s.marks.step > 0 else me.cell)
-
-    def _enter(self, number: int, cell: int) -> None:
-        s = self.s
-        s.marks.progress = 1
+    def enter(self, number: int, cell: int | None = None) -> None:
+        """The robot has entered the cell that was decided, or the accessible cell of this number."""
+        s, me, step = self.s, self.s.robots[number], self.s.marks.step
+        s.marks.progress, decided = 1, me.next if step > 0 else me.cell
+        cell = decided if cell is None else cell
         if self.p is not None:
             # Before the cell is marked as visited: afterwards it is news no more.
             s.marks.changes += interpreted("replanning").is_news(s, number, cell)
             s.home[cell] = int(s.home[cell]) & ~TO_DO
-        interpreted("visits").enter(self.t, s, self.c, self.w, self.log, self.how, self.ids, number, cell)
+        interpreted("visits").enter(self.t, s, self.c, self.w, self.log, self.how, self.ids, step, number, cell, 1)
 
     def stop(self, number: int) -> None:
         """The robot, which has just entered its cell, is lost there."""
@@ -169,7 +176,7 @@ class Fleet(SingleRun):
 
     def survive(self, number: int) -> None:
         """The robot has survived the cell that it has just entered."""
-        interpreted("visits").survive(self.t, self.s, self.c, number, self.s.robots[number].cell)
+        interpreted("visits").survive(self.t, self.s, self.c, self.s.marks.step, number, self.s.robots[number].cell, 1)
         self._arrive(number)
 
     def _arrive(self, number: int) -> None:
@@ -200,14 +207,13 @@ class Fleet(SingleRun):
         used = sum(abs(a - b) for a, b in zip(here, there, strict=True)) - self._moves_now
         self._set_moves(number, max(0, self.moves_left(number) - used))
         # Kernels number the accessible cells only, in the order of their indices.
-        at = int(np.searchsorted(self.loop.cells, cell))
-        self._enter(number, at)
+        self.enter(number, int(np.searchsorted(self.loop.cells, cell)))
         self._set_out(number, before)
 
     def go_on(self, number: int) -> None:
         """A displaced robot, or one at the end of its range, has survived: it continues from its cell."""
         t, p, s, w, log, how, me = self.t, self.p, self.s, self.w, self.log, self.how, self.s.robots[number]
-        interpreted("visits").survive(t, s, self.c, number, me.cell)
+        interpreted("visits").survive(t, s, self.c, s.marks.step, number, me.cell, 1)
         if t.returns and me.doing == Doing.RETURNING:
             interpreted("return_home").move_to_base(t, s, log, number)
         elif self.moves_left(number) == 0:
@@ -353,7 +359,7 @@ class Fleet(SingleRun):
             if self.p is not None:
                 s.home[at] = int(s.home[at]) & ~TO_DO
         elif s.home[at] & SURVIVED == 0:
-            interpreted("visits").mark_survived(s, self.c, at)
+            interpreted("visits").mark_survived(s, self.c, s.marks.step, at, 1)
         if len(s.carried):
             interpreted("state").put(s.carried[number], at)
             interpreted("visits").deliver(self.t, s, number, at)
@@ -410,7 +416,7 @@ class Fleet(SingleRun):
 
     def come_home(self) -> None:
         """Start the return to base if nothing is left to do between two steps."""
-        if self.problem.home is not None and self.unvisited == 0:
+        if self.problem.home is not None and self.s.marks.unfinished == 0:
             self._call_home(Outcome.COMPLETE)
 
     def _call_home(self, why: Outcome) -> None:

@@ -17,7 +17,7 @@ from planner.plan.plan import Area, Plan
 from planner.policies import Rule, rule_of
 from planner.policies.rules import refusal_threshold
 from planner.settings import Settings
-from planner.simulator.codes import BLOCKED, NO_ROBOT
+from planner.simulator.codes import ALWAYS, BLOCKED, NO_ROBOT
 from planner.simulator.offers import Offer
 from planner.simulator.searches import SafestPaths, safest_paths
 from planner.world.levels import NO_LEVEL, ThreatLevels, entry_costs, find_levels, level_costs, levels_of_maps
@@ -132,6 +132,24 @@ def _of_changes(
     belief = of_cell[0] if evidence is None else of_cell[evidence.class_of(evidence.prior, cells), cells]
     sense = Sense() if evidence is None or evidence.detector is None else evidence.detector.sense
     return Unknown(Knowledge(world.threat, sense), values, quantised, belief, of_cell, within, within, evidence, phases)
+
+
+def _of_wrecks(world: World, starts: NDArray[np.int64], settings: Settings) -> Unknown | None:
+    """For lost robots that become obstacles: estimates that a loss alone changes, on a map that is known otherwise.
+
+    Raises:
+        WorldError, PlanError: an unsupported combination.
+    """
+    said = argument("wrecks", "block")
+    world.require_known_map(said)
+    world.require_certain_map(said)
+    settings.require_uniform(said)
+    if settings.transit == "area":
+        raise PlanError(f"{said} with {argument('transit', 'area')}", fix=f"leave {argument('transit')} out")
+    p, nothing = world.threat.ravel(), np.zeros(world.threat.size, dtype=np.int64)
+    # By class: never, after a loss, as planned. Nothing else is evidence.
+    chances = np.stack([p, np.where(p > 0, np.nan, p), p]).astype(np.float32)
+    return _of_changes(world, starts, settings.levels, chances, Evidence(nothing, nothing, ALWAYS, None, chances))
 
 
 def reached(free: NDArray[np.bool_], cells: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -329,6 +347,8 @@ def prepare(
     own, mixed = None, len(set(worlds)) > 1
     world = world if mixed else worlds[0]
     unknown = unknown_map_of(world, checked, settings.levels)
+    if settings.blocks:
+        unknown = _of_wrecks(world, checked, settings)
     told = unknown is None
     rule, cells = rule_of(settings.policy), checked[:, 0] * world.shape[1] + checked[:, 1]
     given_range = NO_LIMIT if settings.range is None else settings.range
@@ -459,7 +479,9 @@ def ready_loop(plan: Plan, world: World) -> tuple[Problem, tuple[Area, ...]]:
     if plan.is_external:
         settings.require_uniform("the closed loop of an external plan")
     if plan.is_external or plan.state is not None:
-        world.require_known_map("the closed loop of an external plan" if plan.is_external else "a resumed mission")
+        what = "the closed loop of an external plan" if plan.is_external else "a resumed mission"
+        world.require_known_map(what)
+        settings.require_no_wrecks(what)
     if settings.transit == "area":
         world.require_known_map('`transit="area"`, legs that stay in their area,')
     if not plan.is_external:

@@ -197,9 +197,10 @@ class Plan:
         """The base cells of each robot; empty if robots do not return."""
         if self.settings is None or (to := self.settings.return_to) is None:
             return []
-        starts = [int(robot.path[0]) for robot in self.robots]
-        bases = starts if isinstance(to, str) else [row * self.shape[1] + col for row, col in to]
-        return [{start} if to == "home" else set(bases) for start in starts]
+        known = None if self.state is None else self.state.homes(to)
+        homes = [int(robot.path[0]) for robot in self.robots] if known is None else known.tolist()
+        bases = homes if isinstance(to, str) else [row * self.shape[1] + col for row, col in to]
+        return [{home} if to == "home" else set(bases) for home in homes]
 
     @property
     def makespan(self) -> int:

@@ -63,7 +63,9 @@ def parse_plan(data: object, world: World, source: str) -> Plan:
     top = Key(data, "", source, PlanError, REMAKE)
     # An empty list falls through to the error for a value of the wrong kind.
     if isinstance(data, list) and data:
-        return _bare_paths(top, world)
+        if all(isinstance(cell, list) and len(cell) == 2 and all(type(n) is int for n in cell) for cell in data):
+            raise top.fault("holds one path", "a list of paths, one a robot", "put it in a list: [[[row, col], ...]]")
+        return _foreign_plan(top, {}, world)
     if not isinstance(data, dict):
         raise top.wrong("a JSON object, or a list of paths")
     # Without the name of our format, a file counts as the output of another planner.
@@ -77,13 +79,6 @@ def parse_plan(data: object, world: World, source: str) -> Plan:
         if name in keys and keys[name].value is not None:
             raise keys[name].wrong("paths only", "leave it out: paths have no areas to decide on")
     return _foreign_plan(keys["paths"], keys, world)
-
-
-def _bare_paths(top: Key, world: World) -> Plan:
-    """An external plan as a bare list, one path per robot; PlanError with a hint for a single path."""
-    if all(isinstance(cell, list) and len(cell) == 2 and all(type(n) is int for n in cell) for cell in top.value):
-        raise top.fault("holds one path", "a list of paths, one a robot", "put it in a list: [[[row, col], ...]]")
-    return _foreign_plan(top, {}, world)
 
 
 def _foreign_plan(paths: Key, keys: dict[str, Key], world: World) -> Plan:

@@ -39,11 +39,11 @@ class RobotState:
 
     cell: int
     status: str
-    area: int
-    ahead: NDArray[np.int64]
-    to_do: NDArray[np.int64]
-    moves: int
-    held: bool
+    area: int = NO_AREA
+    ahead: NDArray[np.int64] = field(default_factory=lambda: NO_CELLS)
+    to_do: NDArray[np.int64] = field(default_factory=lambda: NO_CELLS)
+    moves: int = 0
+    held: bool = False
     exposure: int | None = None
     home: int | None = None
     turned: bool = False

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import reprlib
 from collections.abc import Iterator
+from contextlib import suppress
 from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +23,6 @@ from planner.plan.state import (
     AREA_STATES,
     FORMAT,
     NAT,
-    NO_CELLS,
     ON_ITS_WAY,
     RETURNING,
     STATUSES,
@@ -32,13 +33,13 @@ from planner.plan.state import (
 )
 from planner.simulator.codes import NO_AREA, NO_ROBOT, Outcome
 from planner.tally import OF_CLOSED_LOOP, WORDS_OF_0_3
-from planner.world.frame import Frame
+from planner.world.frame import WGS84, Frame
 from planner.world.grid import OCCUPIED, Grid
 from planner.world.image_files import SUFFIXES as IMAGES
 from planner.world.image_files import read_image, read_ros_map
 from planner.world.keys import Key
 from planner.world.map_files import is_bag, read_logged_map
-from planner.world.points import LATITUDE, LONGITUDE, Table, X, Y, on_map, read_table
+from planner.world.points import LATITUDE, LONGITUDE, Table, X, Y, check_range, on_map, read_table
 from planner.world.world import MAX_CELLS, MAX_ROBOTS, World, check_starts
 
 OVER = tuple(one.word for one in OF_CLOSED_LOOP if one not in (Outcome.STEP_LIMIT, Outcome.DEADLINE))
@@ -63,7 +64,9 @@ def load_state(path: str | Path, world: World) -> MissionState:
     return parse_state(read_json(Path(path), MAX_PLAN_BYTES, StateError, "a state file (JSON)"), world, str(path))
 
 
-def parse_state(data: object, world: World, source: str, before: World | None = None) -> MissionState:
+def parse_state(
+    data: object, world: World, source: str, before: World | None = None, *, waits: bool = False
+) -> MissionState:
     """The state in a file's JSON, checked as by `load_state`.
 
     Args:
@@ -71,6 +74,7 @@ def parse_state(data: object, world: World, source: str, before: World | None = 
         world: the map.
         source: names the file in errors.
         before: the world at the start of the mission, if cells were closed since; one may be a robot's first cell.
+        waits: whether all cells in reach may be visited.
 
     Raises:
         StateError: it is invalid.
@@ -108,7 +112,7 @@ def parse_state(data: object, world: World, source: str, before: World | None = 
     got = keys["delivered"]
     delivered = None if got.value is None else read_cells(got, before)
     found = MissionState(world.shape, world.sha256, step, visited, survived, robots, areas, quiet, over, delivered)
-    check_state(found, world, source)
+    check_state(found, world, source, waits=waits)
     return found
 
 
@@ -141,17 +145,17 @@ def _area(key: Key, world: World) -> AreaState:
     return AreaState(level, robot, state, cells)
 
 
-def check_state(state: MissionState, world: World, source: str) -> None:
-    """Check that a state can be that of a mission on `world` that goes on.
+def check_state(state: MissionState, world: World, source: str, *, waits: bool = False) -> None:
+    """Check that a state can be that of a mission on `world` that goes on; `waits`: as in `parse_state`.
 
     Raises:
         StateError: it cannot.
     """
-    for problem, expected, *fix in chain(_of_cover(state, world), _of_areas(state, world, source)):
+    for problem, expected, *fix in chain(_of_cover(state, world, waits), _of_areas(state, world, source)):
         raise StateError(problem, source=source, expected=expected, fix="".join(fix))
 
 
-def _of_cover(state: MissionState, world: World) -> Iterator[Fault]:
+def _of_cover(state: MissionState, world: World, waits: bool) -> Iterator[Fault]:
     """Faults of coverage: unreachable visited cells, survived cells not visited, nothing left to do, no robot."""
     accessible = world.accessible(state.starts).ravel()
     for name, cells in (("visited", state.visited), ("survived", state.survived)):
@@ -161,7 +165,8 @@ def _of_cover(state: MissionState, world: World) -> Iterator[Fault]:
         yield f"survived: cell {at(extra, world)} is not visited", "some of the visited cells"
     if not any(robot.alive for robot in state.robots):
         yield "every robot is dead", "a robot that goes on"
-    if len(state.visited) == int(accessible.sum()) and not any(robot.status == RETURNING for robot in state.robots):
+    waits = waits or any(robot.status == RETURNING for robot in state.robots)
+    if len(state.visited) == int(accessible.sum()) and not waits:
         yield "every cell in reach is visited", "something left to do"
 
 
@@ -248,7 +253,7 @@ def read_state(path: str | Path, world: World, starts: ArrayLike | None = None) 
         raise StateError("does not give the robots' places", source=path, fix=fix)
     else:
         cells = check_starts(starts, world.threat, argument("starts"))
-        found = found._replace(robots=tuple(_state_traces_robot(int(row * world.shape[1] + col)) for row, col in cells))
+        found = found._replace(robots=tuple(RobotState(int(cell), "idle") for cell in cells @ (world.shape[1], 1)))
     return _state(found, world, path)
 
 
@@ -261,10 +266,6 @@ def _check_no_starts(starts: ArrayLike | None, path: Path) -> None:
     if starts is not None:
         other = argument("starts")
         raise UsageError(f"{other} and {path}, which gives the robots' places", fix=f"leave {other} out")
-
-
-def _state_traces_robot(cell: int, status: str = "idle", moves: int = 0, home: int | None = None) -> RobotState:
-    return RobotState(cell, status, NO_AREA, NO_CELLS, NO_CELLS, moves, False, home=home)
 
 
 def _state(found: Found, world: World, path: Path) -> tuple[MissionState, tuple[str, ...]]:
@@ -351,121 +352,155 @@ def _under(grid: Grid, frame: Frame) -> NDArray[np.bool_]:
 # --- cells and tracks ---
 
 
-def _listed(path: Path, world: World) -> Found:
-    """Visited cells, or tracks if a column names the robots."""
-    table = read_table(path, "lines row, col, or robot, row, col")
-    if table.column("robot") is not None:
-        return _tracks(table, world)
-    return Found(_cells(table, world)[0], notes=table.notes)
+class Track(NamedTuple):
+    """The places of a robot; a reader may give several of one robot, and other coordinates.
+
+    Attributes:
+        name: of the robot. times: `[n]`, seconds, or steps; of a reader numbers or texts; None: not known.
+        points: float64 `[n, 2]`, (x, y), metres, map frame; of a reader in the CRS `crs`, x or longitude first.
+        crs: of the points; "": metres of the map frame. status: "idle", "done", or "dead": the robot is lost.
+    """
+
+    name: str
+    times: Any
+    points: NDArray[np.float64]
+    crs: str = ""
+    status: str = "idle"
 
 
-def _cells(table: Table, world: World) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The cell of every line, int64, and whether it is free; with rows and columns an occupied cell is an error."""
-    (height, width), path = world.shape, table.path
-    row, col = table.column("row"), table.column("col", "column")
-    # A table without a header and with two columns can only hold rows and columns.
-    if row is None and not table.names and len(table.rows[0][1]) == 2:
-        row, col = 0, 1
-    if row is not None and col is not None:
-        places = np.array([[table.number(one, at, name) for at, name in ((row, "row"), (col, "col"))]
-                           for one in table.rows])  # fmt: skip
-        # Cells are exact, so a wrong one is an error; metres are measured, so a wrong one is left out and counted.
-        wrong = (places != np.rint(places)).any(axis=1) | ~((places >= 0) & (places < world.shape)).all(axis=1)
-        if wrong.any():
-            line, given = table.rows[int(np.argmax(wrong))]
-            problem = f"line {line}: {', '.join(given)[:60]!r} is no cell of the map"
-            raise MapError(problem, source=path, expected=f"row 0..{height - 1} and col 0..{width - 1}")
-        cells = places.astype(np.int64) @ (width, 1)
-        blocked = ~world.enterable.ravel()[cells]
-        if blocked.any():
-            line, given = table.rows[int(np.argmax(blocked))]
-            raise MapError(f"line {line}: {', '.join(given)[:60]!r} is an obstacle", source=path, expected="free cells")
-        return cells, np.ones(len(cells), dtype=bool)
-    pixels = world.to_cells(_metres(table, world))
-    on = world.frame.holds(pixels)
-    cells = np.where(on, pixels[:, 0] * width + pixels[:, 1], 0)
-    return cells, on & world.enterable.ravel()[cells]
+TRACK_STATUS = {"": "idle", "idle": "idle", "done": "done", "dead": "dead", "lost": "dead"}
+"""Status by the words of a column `status`."""
 
 
-def _metres(table: Table, world: World) -> NDArray[np.float64]:
-    """(x, y) of every line in the map's frame, float64 `[lines, 2]`."""
-    x, y, longitude, latitude = (table.column(*names) for names in (X, Y, LONGITUDE, LATITUDE))
-    if x is not None and y is not None:
-        return table.places((x, y))
-    if longitude is None or latitude is None or world.georeference is None:
-        said = ", ".join(table.names)[:80] if table.names else f"{len(table.rows[0][1])} of them, without a header"
-        expected = "row and col, or x and y in metres" + (", or lon and lat" if world.georeference else "")
-        raise MapError(f"has the columns {said}", source=table.path, expected=expected)
-    return on_map(table.lonlat((longitude, latitude)), world.frame, world.georeference, table.path)
+def tracks_of(table: Table, world: World) -> list[Track]:
+    """The tracks in a table, each in order of steps, else times, else the file.
 
+    Robots are in order of their numbers or, if they have names, of the file; the last `status` of a robot counts.
 
-def _tracks(table: Table, world: World) -> Found:
-    """Robots in order of their numbers or, if they have names, of the file; each at the place of its last line."""
-    path, which = table.path, table.column("robot")
-    assert which is not None
-    names = list(dict.fromkeys(row[which].strip() for _, row in table.rows))
-    # Ten digits and more are serial numbers, not indices of robots.
-    if all(name.isdecimal() and len(name) < 10 for name in names):
-        # As text, robot 10 would come before robot 2.
-        names.sort(key=int)
-    if len(names) > MAX_ROBOTS:
-        raise MapError(f"{len(names)} robots", source=path, expected=f"at most {MAX_ROBOTS}")
-    cells, on = _cells(table, world)
-    step_at, status_at = table.column("step"), table.column("status")
-    order = _order(table, step_at)
-    owner = np.array([names.index(row[which].strip()) for _, row in table.rows])
-    robots = []
-    for number, name in enumerate(names):
-        lines = np.flatnonzero(owner == number)
+    Raises MapError: no column `robot`, places, times or words that are none.
+    """
+    which, status, clock = table.column("robot"), table.column("status"), table.column("step", *TIMES)
+    if which is None:
+        expected = "robot, a time or step, and row, col or x, y or lon, lat"
+        raise MapError(table.described, source=table.path, expected=expected)
+    points, times = _places(table, world), None if clock is None else _times(table, clock)
+    rows: dict[str, list[int]] = {}
+    for number, (_, row) in enumerate(table.rows):
+        rows.setdefault(row[which].strip(), []).append(number)
+    found = []
+    for name, held in rows.items():
         # A stable sort keeps the order of the file where steps or times are equal.
-        lines = lines[np.argsort(order[lines], kind="stable")]
-        if not on[lines[-1]]:
-            problem = f"line {table.rows[lines[-1]][0]}: robot {name[:40]} ends off the map or on an obstacle"
+        held = held if times is None else sorted(held, key=times.__getitem__)
+        line, last = table.rows[held[-1]]
+        word = "" if status is None else last[status].strip().lower()
+        if word not in TRACK_STATUS:
+            problem = f"line {line}: status {word[:40]!r}"
+            raise MapError(problem, source=table.path, expected="idle, done, dead or lost")
+        own = None if times is None else [times[number] for number in held]
+        found.append(Track(name, own, points[held], "", TRACK_STATUS[word]))
+    # Ten digits and more are serial numbers, not indices of robots. As text, robot 10 would come before robot 2.
+    if all(track.name.isdecimal() and len(track.name) < 10 for track in found):
+        found.sort(key=lambda track: int(track.name))
+    return found
+
+
+def _times(table: Table, clock: int) -> list[float]:
+    """Steps, numbers, or seconds of times in ISO 8601, of every line."""
+    name, found = table.names[clock], []
+    in_iso, in_steps = is_header(row[clock] for _, row in table.rows), name == "step"
+    for line in table.rows:
+        value = moment(line[1][clock]) if in_iso and not in_steps else table.number(line, clock, name)
+        if math.isnan(value) or (in_steps and not (0 <= value <= MAX_STEP and value == int(value))):
+            expected = "numbers or times in ISO 8601, as 2026-05-01T12:00:00.5Z, in all of its lines"
+            problem, steps = f"line {line[0]}: {name} is {line[1][clock][:40]!r}", f"a whole number, 0 to {MAX_STEP}"
+            raise MapError(problem, source=table.path, expected=steps if in_steps else expected)
+        found.append(value)
+    return found
+
+
+def moment(text: str) -> float:
+    """Seconds of a time in ISO 8601, of UTC without a time zone; NaN for any other text."""
+    with suppress(ValueError, OverflowError):
+        found = datetime.fromisoformat(text.strip())
+        return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
+    return math.nan
+
+
+def _places(table: Table, world: World) -> NDArray[np.float64]:
+    """(x, y) of every line in the map's frame, float64 `[lines, 2]`."""
+    if cells := cell_columns(table):
+        return world.at(*(table.places(cells, ("row", "col")) + 0.5).T)
+    for names, crs in (((X, Y), ""), ((LONGITUDE, LATITUDE), WGS84)):
+        if columns := table.columns(*names):
+            return metres(table.lonlat(columns) if crs else table.places(columns), crs, world, table.path)
+    expected = "row and col, or x and y in metres, or lon and lat"
+    raise MapError(table.described, source=table.path, expected=expected)
+
+
+def cell_columns(table: Table) -> list[int]:
+    """The columns of row and col, the two of a table without a header; []: none."""
+    if not table.names and len(table.rows[0][1]) == 2:
+        return [0, 1]
+    return table.columns(["row"], ["col", "column"])
+
+
+def metres(points: NDArray[np.float64], crs: str, world: World, path: Path) -> NDArray[np.float64]:
+    """Points of a file as metres of the map frame. Raises MapError where their CRS and the map's do not meet."""
+    if not crs:
+        return points
+    if world.georeference is None:
+        fix = "give columns x and y in metres, or a map with a `datum`"
+        raise MapError(f"its places are in {crs}, and the map has no georeference", source=path, fix=fix)
+    if crs == WGS84:
+        check_range(points, "", path)
+        return on_map(points, world.frame, world.georeference, path)
+    try:
+        return world.georeference.from_crs(points, crs)
+    except MapError as error:
+        raise MapError(error.problem, source=path, expected=error.expected, fix=error.fix) from error
+
+
+def _check_cells(table: Table, cells: list[int], world: World) -> None:
+    """Check rows and columns: they are exact, so that a wrong one is an error, where measured metres are left out."""
+    places = table.places(cells, ("row", "col"))
+    wrong = (places != np.rint(places)).any(axis=1) | ~((places >= 0) & (places < world.shape)).all(axis=1)
+    expected, problem = "row 0..{} and col 0..{}".format(*np.subtract(world.shape, 1)), "no cell of the map"
+    if not wrong.any():
+        wrong = ~world.enterable[tuple(places.astype(np.int64).T)]
+        expected, problem = "free cells", "an obstacle"
+    if wrong.any():
+        line, given = table.rows[int(np.argmax(wrong))]
+        raise MapError(f"line {line}: {', '.join(given)[:60]!r} is {problem}", source=table.path, expected=expected)
+
+
+def _listed(path: Path, world: World) -> Found:
+    """Visited cells, or tracks if a column names the robots: each is at the place of its last line."""
+    table = read_table(path, "lines row, col, or robot, row, col")
+    if columns := cell_columns(table):
+        _check_cells(table, columns, world)
+    named = table.column("robot") is not None
+    tracks = tracks_of(table, world) if named else [Track("", None, _places(table, world))]
+    if len(tracks) > MAX_ROBOTS:
+        raise MapError(f"{len(tracks)} robots", source=path, expected=f"at most {MAX_ROBOTS}")
+    visited, robots, off = [], [], 0
+    for track in tracks:
+        pixels = world.to_cells(track.points)
+        on = world.frame.holds(pixels)
+        on[on] = world.enterable[tuple(pixels[on].T)]
+        off += int((~on).sum())
+        cells = pixels[on] @ (world.shape[1], 1)
+        visited.append(cells)
+        if named and not on[-1]:
+            problem = f"robot {track.name[:40]} ends off the map or on an obstacle"
             raise MapError(problem, source=path, expected="its last place on a free cell")
-        track = cells[lines[on[lines]]]
-        # The Manhattan distance of successive places: a lower bound of the moves, since a log may skip cells.
-        away = np.abs(np.diff(np.stack(np.divmod(track, world.shape[1])))).sum()
-        status = "idle" if status_at is None else table.rows[lines[-1]][1][status_at].strip().lower()
-        if status not in ("", "idle", "done", "dead"):
-            problem = f"line {table.rows[lines[-1]][0]}: status {status[:40]!r}"
-            raise MapError(problem, source=path, expected="idle, done or dead")
-        robots.append(_state_traces_robot(int(track[-1]), status or "idle", min(int(away), MAX_STEP), int(track[0])))
-    off = int((~on).sum())
+        if named:
+            # The Manhattan distance of successive places: a lower bound of the moves, since a log may skip cells.
+            away = min(int(np.abs(np.diff(pixels[on], axis=0)).sum()), MAX_STEP)
+            robots.append(RobotState(int(cells[-1]), track.status, moves=away, home=int(cells[0])))
     notes = table.notes
     if off:
-        notes += (f"{off} of {len(on)} places lie off the map or on obstacles: left out",)
+        notes += (f"{off} of {len(table.rows)} places lie off the map or on obstacles: left out",)
     # Without steps, the mission has lasted at least as long as the most moves of one robot.
-    step = int(order.max()) if step_at is not None else max(robot.moves for robot in robots)
-    return Found(np.unique(cells[on]), tuple(robots), step, notes)
-
-
-def _order(table: Table, step_at: int | None) -> NDArray[np.float64]:
-    """Sort keys of a robot's lines: steps, else times, else the order of the file."""
-    if step_at is not None:
-        return np.array([_step(table, row, step_at) for row in table.rows], dtype=np.float64)
-    at = table.column(*TIMES)
-    if at is None:
-        return np.zeros(len(table.rows))
-    if is_header(row[at] for _, row in table.rows):
-        return np.array([_moment(table, row, at) for row in table.rows])
-    return np.array([table.number(row, at, table.names[at]) for row in table.rows])
-
-
-def _moment(table: Table, row: tuple[int, list[str]], column: int) -> float:
-    """Seconds of a time in ISO 8601; without a time zone UTC, if all times of the file lack one."""
-    text = row[1][column].strip()
-    try:
-        moment = datetime.fromisoformat(text)
-        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
-    except (ValueError, OverflowError) as error:
-        problem = f"line {row[0]}: {table.names[column]} is {text[:40]!r}"
-        expected = "numbers or times in ISO 8601, as 2026-05-01T12:00:00.5Z, in all of its lines"
-        raise MapError(problem, source=table.path, expected=expected) from error
-
-
-def _step(table: Table, row: tuple[int, list[str]], column: int) -> int:
-    step = table.number(row, column, "step")
-    if not (0 <= step <= MAX_STEP and step == int(step)):
-        problem = f"line {row[0]}: step is {row[1][column][:40]!r}"
-        raise MapError(problem, source=table.path, expected=f"a whole number, 0 to {MAX_STEP}")
-    return int(step)
+    in_steps = named and table.column("step") is not None
+    steps = [track.times[-1] for track in tracks] if in_steps else [robot.moves for robot in robots]
+    return Found(np.unique(np.concatenate(visited)), tuple(robots), int(max(steps, default=0)), notes)

@@ -7,7 +7,6 @@ import itertools
 import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,8 +68,8 @@ def compile_closed_loop(
         PlanError: a plan of another map, or a rule or order that compiled programs do not support.
     """
     problem, areas = ready_loop(plan, world) if problem is None else (problem, plan.areas)
-    settings, rule = problem.settings, problem.rule
-    follows = isinstance(settings.in_area, str) and (rule.nearest or (rule.replanning and rule.exact))
+    settings, rule, order = problem.settings, problem.rule, problem.settings.in_area
+    follows = isinstance(order, str) and (rule.nearest or (rule.replanning and rule.exact))
     if not follows and not (interpreted and (rule.nearest or rule.replanning)):
         raise PlanError(
             f"the compiled engines do not support {settings.own_words}",
@@ -107,13 +106,10 @@ def compile_closed_loop(
         failure_model=plan.failure_model,
         movers=world.movers,
         uncertainty=world.uncertainty if learns and isinstance(world.uncertainty, Uncertain) else None,
-        in_area=None if isinstance(settings.in_area, str) else _by_order(settings.in_area, cells),
+        in_area=None
+        if isinstance(order, str)
+        else lambda here, cell, cost: order(CellOffer(int(cells[here]), int(cells[cell]), cost)),
     )
-
-
-def _by_order(order: Callable[[CellOffer], Any], cells: NDArray[np.int64]) -> Callable[[int, int, int], Any]:
-    """`ClosedLoop.in_area`."""
-    return lambda here, cell, cost: order(CellOffer(int(cells[here]), int(cells[cell]), cost))
 
 
 def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool, state: MissionState | None) -> str:

@@ -140,6 +140,8 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
     if world.movers is not None:
         problem = "the open loop cannot include moving threats, which destroy robots anywhere"
         raise PlanError(problem, source=world.source, fix=f"use {argument('loop', 'closed')}")
+    if plan.settings is not None and len(plan.robots) > 1:
+        plan.settings.require_no_wrecks("the open loop")
     threat = world.met.reshape(-1)
     paths = [np.asarray(robot.path, dtype=np.int64) for robot in plan.robots]
     for robot, path in enumerate(paths):

@@ -77,7 +77,8 @@ def run_rollouts(
         runners = on_threads(loop, seed, start, count, most, threads, work, known)
     KNOWN.clear()  # one loop only: its scratch may be a quarter of a gigabyte per thread
     # A state that grew can count longer paths than the first state of the next call.
-    KNOWN[loop] = [runner.work for runner in runners if not runner.has_grown]
+    room = first_room(loop.tables)
+    KNOWN[loop] = [runner.work for runner in runners if runner.room == room]
     return [runner.counts for runner in runners]
 
 
@@ -290,6 +291,7 @@ class Runner:
 
     Attributes:
         counts: of all rollouts so far. work: scratch arrays. tables, policy, how: arguments of its programs.
+        room: areas that its state has room for.
     """
 
     counts: Counts
@@ -319,11 +321,6 @@ class Runner:
         return State._make(row[0] for row in self._state)
 
     @property
-    def has_grown(self) -> bool:
-        """Whether the first room for areas was too small."""
-        return self._room > first_room(self._loop.tables)
-
-    @property
     def has_levels(self) -> bool:
         """Whether there is a level for every robot."""
         return len(self._state.marks) > self._loop.robots
@@ -338,13 +335,13 @@ class Runner:
         self._done.append((first, stop))
         parts = self._done[-1:]
         while not all(self.fits(*part, singles, log) for part in parts):
-            self._make_room(4 * self._room)
+            self._make_room(4 * self.room)
             # Counts are void once the room ran out, so all rollouts counted so far are run again, with equal results.
             parts = self._done
 
     def fits(self, first: int, stop: int, singles: Singles, log: Log = NO_LOG) -> bool:
         """Count rollouts `first .. stop - 1`; False if the area registry is full: then all counts are void."""
-        begin, most = self._loop.first_state(self._room), self.largest_group
+        begin, most = self._loop.first_state(self.room), self.largest_group
         for at in range(first, stop, most):
             ids = np.arange(at, min(at + most, stop), dtype=np.uint32)
             log.events[:1], self.work.begin[0] = 0, at
@@ -377,7 +374,7 @@ class Runner:
         same order.
         """
         self.work.remembered[:], self.work.slots[:] = 1, 0
-        first, how = self._loop.first_state(self._room), self.how._replace(aside=len(stack.marks) - 1)
+        first, how = self._loop.first_state(self.room), self.how._replace(aside=len(stack.marks) - 1)
         return self._call(first, groups_at(ONE, len(ids)), stack, NO_LOG, how, ids, singles)
 
     def take(self, waiting: State, tasks: Tasks, ids: NDArray[np.uint32], singles: Singles, log: Log = NO_LOG) -> bool:
@@ -393,20 +390,20 @@ class Runner:
             most: histories, at most.
         """
         how, nobody = self.how._replace(cut=cut, most=most), np.zeros(1, dtype=np.uint32)
-        self._make_room(self._room)
+        self._make_room(self.room)
         while True:
-            given = self._loop.first_state(self._room), groups_at(ONE, mass), self._state, NO_LOG, how
+            given = self._loop.first_state(self.room), groups_at(ONE, mass), self._state, NO_LOG, how
             if self._call(*given, nobody, singles_of(self._loop, 0, 0)) != NONE:
                 return self.counts
-            self._make_room(4 * self._room)
+            self._make_room(4 * self.room)
 
     def make_levels(self, levels: int) -> State:
         """A stack of `levels` levels, fewer where the memory limit would be exceeded."""
-        return make_state(self._loop.first_state(self._room), levels)
+        return make_state(self._loop.first_state(self.room), levels)
 
     def _make_room(self, room: int) -> None:
         """Make a state with room for `room` areas, and empty counts."""
-        self._room = room
+        self.room = room
         self._state = self.make_levels(min(self._loop.robots + 1, self._most))
         passes = self._loop.weights is not None
         loop = self._loop

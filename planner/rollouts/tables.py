@@ -537,7 +537,8 @@ def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables, *, i
     return Policy(
         reevaluates=rule.reevaluates,
         preempts=rule.preempts,
-        looks_ahead=rule.looks_ahead,
+        # Without online updates F = 0, and both orders are the same: no code is compiled for it.
+        looks_ahead=rule.looks_ahead if tables.learns is not None else None,
         by_price=rule.by_price,
         limited=rule.limited and problem.theta < NO_REFUSAL,
         entry=problem.entry,

@@ -29,42 +29,44 @@ class FoldAbsent(FunctionPass):
 
     def run_pass(self, state: Any) -> bool:
         """Whether a field was replaced. Only fields of the function's own arguments are known at this stage."""
-        code, found = state.func_ir, False
-        for block in code.blocks.values():
-            for assign in block.find_insts(ir.Assign):
-                value = assign.value
-                constant = _constant(code, state.args, value) if isinstance(value, ir.Expr) else None
-                if constant is not None:
-                    assign.value, found = ir.Const(constant, assign.loc), True
-                    # Numba looks values up in its table of definitions: it has to agree with the statement.
-                    known = code._definitions[assign.target.name]
-                    known[known.index(value)] = assign.value
+        code = state.func_ir
+        assigns = [one for block in code.blocks.values() for one in block.find_insts(ir.Assign)]
+        # Comparisons with None first: they look at the fields that are replaced.
+        folds = sorted((one for one in assigns if isinstance(one.value, ir.Expr)), key=lambda one: one.value.op)
+        found = False
+        for assign in folds:
+            value = assign.value
+            constant = _constant(code, state.args, value)
+            if constant is not None:
+                assign.value, found = ir.Const(constant, assign.loc), True
+                # Numba looks values up in its table of definitions: it has to agree with the statement.
+                known = code._definitions[assign.target.name]
+                known[known.index(value)] = assign.value
         return found
 
 
 def _constant(code: Any, kinds: Any, value: Any) -> bool | None:
     """The value of an expression on an argument that follows from the argument's type; None if there is none."""
     if value.op == "getattr":
-        kind = _kind_of_argument(code, kinds, value.value)
-        kind = getattr(kind, "of", kind)
-        fields = dict(zip(kind.fields, kind.types, strict=True)) if isinstance(kind, BaseNamedTuple) else {}
-        return False if isinstance(fields.get(value.attr), NoneType) else None
+        return False if isinstance(_kind(code, kinds, value), NoneType) else None
     if value.op == "binop" and value.fn in (operator.is_, operator.is_not):
-        kind, other = _kind_of_argument(code, kinds, value.lhs), guard(get_definition, code, value.rhs)
-        # Numba drops the branch for an argument that is None, but not the other one for an argument that is not.
-        if (
-            isinstance(getattr(kind, "of", kind), BaseNamedTuple)
-            and isinstance(other, ir.Const)
-            and other.value is None
-        ):
-            return bool(value.fn is operator.is_not)
+        mine, other = (guard(get_definition, code, side) for side in (value.lhs, value.rhs))
+        kind = _kind(code, kinds, mine)
+        if kind is not None and isinstance(other, ir.Const) and other.value is None:
+            return isinstance(kind, NoneType) == (value.fn is operator.is_)
     return None
 
 
-def _kind_of_argument(code: Any, kinds: Any, variable: Any) -> Any:
-    """The type of the argument that a variable is; None if it is no argument."""
-    of = guard(get_definition, code, variable)
-    return kinds[of.index] if isinstance(of, ir.Arg) else None
+def _kind(code: Any, kinds: Any, value: Any) -> Any:
+    """The type of a value that is an argument, or a field of one; None if it is neither."""
+    if isinstance(value, ir.Arg):
+        return kinds[value.index]
+    if isinstance(value, ir.Expr) and value.op == "getattr":
+        kind = _kind(code, kinds, guard(get_definition, code, value.value))
+        kind = getattr(kind, "of", kind)
+        if isinstance(kind, BaseNamedTuple):
+            return dict(zip(kind.fields, kind.types, strict=True)).get(value.attr)
+    return None
 
 
 @register_pass(mutates_CFG=False, analysis_only=False)

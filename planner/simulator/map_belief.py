@@ -480,7 +480,17 @@ def read(t, s, how, rollout, robot):
 @kernel
 def apply_estimate(t, s, w, cell, count):
     """Set the level of a cell by its estimate; the number of changed cells by now."""
-    return believe(t, s, w, cell, t.truths[class_of(t, s, cell), cell], count)
+    level = t.truths[class_of(t, s, cell), cell]
+    return count if level < 0 and is_occupied(s, cell) else believe(t, s, w, cell, level, count)
+
+
+@kernel
+def is_occupied(s, cell):
+    """Whether a live robot is in the cell: it is no obstacle as long."""
+    found = False
+    for robot in range(len(s.robots)):
+        found = found or (s.robots[robot].cell == cell and s.robots[robot].doing != DEAD)
+    return found
 
 
 @kernel

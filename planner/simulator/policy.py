@@ -25,7 +25,8 @@ class Policy(NamedTuple):
     """Decisions of robots of a rule that re-evaluates. Axes: `A` accessible cells, `K` robots, `L` threat levels.
 
     Attributes:
-        looks_again, breaks_off, looks_ahead, by_price: as in `Rule`. limited: whether areas can be refused.
+        reevaluates, preempts, by_price: as in `Rule`. looks_ahead: too, but None where no program updates the map.
+        limited: whether areas can be refused.
         entry: int64 `[L]`, cost of entering a cell of each level. danger: bool `[A]`, cells of a dangerous level.
         cells: n of the whole map. theta: the price per new cell from which on an area is refused.
         robot_value: whether refusals are recorded.
@@ -40,7 +41,7 @@ class Policy(NamedTuple):
 
     reevaluates: bool
     preempts: bool
-    looks_ahead: bool
+    looks_ahead: bool | None
     by_price: bool
     limited: bool
     entry: NDArray[np.int64]
@@ -76,7 +77,7 @@ def offer_of(t, p, s, robot, area, cost):
     """An area as an offer to the robot, with its target at this cost."""
     level, left = own_level(t, robot, s.areas[area].level), np.int64(s.areas[area].left)
     value = unvisited_value(p, s, area) if len(p.value) > 0 else left
-    shown = frontier(p, s, area) if len(p.view_begin) > 0 else np.int64(0)
+    shown = frontier(p, s, area) if p.looks_ahead and len(p.view_begin) > 0 else np.int64(0)
     more = surcharge(t, p, s, robot, area) if t.mixed else np.int64(0)
     return Offer(level, np.int64(cost), left, p.entry[level], value, np.int64(p.beyond), shown, more)
 

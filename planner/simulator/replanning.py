@@ -29,7 +29,7 @@ from .offers import is_dangerous
 from .paths import entry_of, go_on, list_to_do, next_leg, set_out
 from .policy import is_danger, offer_of
 from .return_home import charge, may_recharge, start_return, turns
-from .robot_types import drives_back, hears
+from .robot_types import drives_back, hears, own_turn
 from .state import AREA_BITS, VISITED, holds
 
 
@@ -242,6 +242,22 @@ def is_news(s, robot, cell):
     """Whether the robot, entering the cell, visits a cell to do in another area than its own."""
     home = np.int64(s.home[cell])
     return home & VISITED == 0 and home >> AREA_BITS != s.robots[robot].area
+
+
+@kernel
+def goes_on(t, p, s, robot):
+    """Whether the robot just moves on, as in most of its turns: `act` would decide nothing."""
+    return not t.returns and s.marks.step > 0 and holds(s.movers, robot) and not notices(t, p, s, robot)
+
+
+@kernel
+def passes(t, s, w, robot, cell):
+    """Whether the cell is on the robot's way, with nothing to decide; the robot then has its next cell."""
+    decides = t.returns or t.radio or cell == s.robots[robot].target or s.marks.step == 0
+    if decides or own_turn(t, robot, s.marks.step) == s.robots[robot].until:
+        return False
+    go_on(t, s, w, robot)
+    return True
 
 
 @rare_kernel

@@ -6,7 +6,8 @@ wait for groups that split off). Arrays of features that a mission does not use 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import namedtuple
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -391,7 +392,13 @@ TRUTH, BELIEF, MIND = range(3)
 WORD = 64
 
 
-class State(NamedTuple):
+class State(
+    namedtuple(
+        "State",
+        "home order areas robots marks movers waiting open lowest passes legs spent entered heard near entry "
+        "level known fate mind odds carried",
+    )
+):
     """State of a group of rollouts; in the stack of states with the leading axis `L`.
 
     Attributes:
@@ -415,31 +422,15 @@ class State(NamedTuple):
             the last row: cells delivered. Without rows where robots do not return, or a resumed mission does not know.
     """
 
-    home: NDArray
-    order: NDArray
-    areas: NDArray
-    robots: NDArray
-    marks: NDArray
-    movers: NDArray
-    waiting: NDArray
-    open: NDArray
-    lowest: NDArray
-    passes: NDArray
-    legs: NDArray
-    spent: NDArray
-    entered: NDArray
-    heard: NDArray
-    near: NDArray
-    entry: NDArray
-    level: NDArray
-    known: NDArray
-    fate: NDArray
-    mind: NDArray
-    odds: NDArray
-    carried: NDArray
 
-
-class Work(NamedTuple):
+class Work(
+    namedtuple(
+        "Work",
+        "seen stamp stack listed kept rows row_costs row_entries row_of source_of asked oldest heads tails last "
+        "words left begin at met here moves rank everywhere distance queue heap_cost heap_cell to_go touched "
+        "paths slots ends remembered part gone news minds",
+    )
+):
     """Scratch arrays of one thread.
 
     Attributes:
@@ -466,47 +457,14 @@ class Work(NamedTuple):
             that `rows` belongs to.
     """
 
-    seen: NDArray
-    stamp: NDArray
-    stack: NDArray
-    listed: NDArray
-    kept: NDArray
-    rows: NDArray
-    row_costs: NDArray
-    row_entries: NDArray
-    row_of: NDArray
-    source_of: NDArray
-    asked: NDArray
-    oldest: NDArray
-    heads: NDArray
-    tails: NDArray
-    last: NDArray
-    words: NDArray
-    left: NDArray
-    begin: NDArray
-    at: NDArray
-    met: NDArray
-    here: NDArray
-    moves: NDArray
-    rank: NDArray
-    everywhere: NDArray
-    distance: NDArray
-    queue: NDArray
-    heap_cost: NDArray
-    heap_cell: NDArray
-    to_go: NDArray
-    touched: NDArray
-    paths: NDArray
-    slots: NDArray
-    ends: NDArray
-    remembered: NDArray
-    part: NDArray
-    gone: NDArray
-    news: NDArray
-    minds: NDArray
 
-
-class Counts(NamedTuple):
+class Counts(
+    namedtuple(
+        "Counts",
+        "visits stops covered unsurvived time new late visited survived alive outcomes left_visited left_survived "
+        "left_alive histories home delivered left_delivered passes",
+    )
+):
     """Counts over rollouts, int64; see planner.tally.Tally.
 
     Attributes:
@@ -523,26 +481,6 @@ class Counts(NamedTuple):
             With `Tables.scores`: float64 `[A, 2]`, sums over rollouts of the cells covered times the robots lost in the
             cell, and times its survived visits. For rollouts they are integers, exact below 2**53.
     """
-
-    visits: NDArray
-    stops: NDArray
-    covered: NDArray
-    unsurvived: NDArray
-    time: NDArray
-    new: NDArray
-    late: NDArray
-    visited: NDArray
-    survived: NDArray
-    alive: NDArray
-    outcomes: NDArray
-    left_visited: NDArray
-    left_survived: NDArray
-    left_alive: NDArray
-    histories: NDArray
-    home: NDArray
-    delivered: NDArray
-    left_delivered: NDArray
-    passes: NDArray
 
 
 class Singles(NamedTuple):
@@ -602,11 +540,6 @@ def first_room(tables: Tables) -> int:
     return min(room, MOST_NARROW) if 2 * given <= MOST_NARROW else room
 
 
-def fits_narrow(tables: Tables, room: int) -> bool:
-    """Whether 16 bits hold the state with room for so many areas."""
-    return room <= MOST_NARROW and len(tables.near) < MOST_CELLS
-
-
 def first_state(tables: Tables, room: int, passes: bool = False) -> State:
     """The state before any robot has entered its start.
 
@@ -615,39 +548,43 @@ def first_state(tables: Tables, room: int, passes: bool = False) -> State:
         room: areas that there is room for.
         passes: whether survived visits are counted.
     """
-    size, team = len(tables.near), len(tables.starts)
-    # Half the bytes: copying the state is a large share of the cost of a split.
-    kind: DTypeLike = np.uint16 if fits_narrow(tables, room) else np.uint32
-    searching = team if len(tables.entry) else 0
-    words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD))
-    rows = np.zeros(size + 1, dtype=kind), np.zeros(size, dtype=kind), np.zeros(room, AREA), np.zeros(team, ROBOT)
-    bits = [np.zeros(count, dtype=np.uint64) for count in words]
-    passed = np.zeros(2 * size if tables.scores else size if passes else 0, dtype=np.uint16)
-    legs, spent = np.zeros((searching, size), dtype=kind), np.zeros(len(tables.spent), dtype=np.uint64)
-    entered = np.zeros(words[0] if len(tables.movers) else 0, dtype=np.uint64)
-    heard = np.zeros(words[0] if len(tables.reach) else 0, dtype=np.uint64)
-    more = passed, legs, spent, entered, heard, *_first_mind(tables, room, kind)
-    state = State._make((*rows, np.zeros((), GROUP), *bits, *more))
+    size, team, learned = len(tables.near), len(tables.starts), len(tables.belief)
+    # Half the bytes if 16 bits hold the areas: copying the state is a large share of the cost of a split.
+    kind: DTypeLike = np.uint16 if room <= MOST_NARROW and size < MOST_CELLS else np.uint32
+    robots, areas, cells = (-(-count // WORD) for count in (team, room, size))
+    learning, returning = len(tables.truths) > 0, len(tables.home_cost) > 0
+    free, near = np.append(tables.belief >= 0, False), tables.near[:learned]
+    state = State(
+        near=np.where(free[near], near, learned).astype(near.dtype),
+        entry=np.where(free[:-1], tables.price[np.maximum(tables.belief, 0)], 0),
+        level=tables.belief.copy(),
+        odds=tables.odds.copy(),
+        **_zeros(
+            ("home", size + 1, kind),
+            ("order", size, kind),
+            ("areas", room, AREA),
+            ("robots", team, ROBOT),
+            ("marks", (), GROUP),
+            ("movers waiting", robots, np.uint64),
+            ("open lowest", areas, np.uint64),
+            ("passes", 2 * size if tables.scores else size * passes, np.uint16),
+            ("legs", (team * (len(tables.entry) > 0), size), kind),
+            ("spent", len(tables.spent), np.uint64),
+            ("entered", robots * (len(tables.movers) > 0), np.uint64),
+            ("heard", robots * (len(tables.reach) > 0), np.uint64),
+            ("known", learned, np.uint8),
+            ("fate", room * learning, kind),
+            ("mind", MIND * learning, np.int64),
+            ("carried", ((team + 1) * returning, cells), np.uint64),
+        ),
+    )
     _begin(state, tables)
     return state
 
 
-def _first_mind(tables: Tables, room: int, kind: DTypeLike) -> Iterator[NDArray]:
-    """The last fields of a `State`: the prior map of an online mission, and the cells carried."""
-    learning, size = bool(len(tables.truths)), len(tables.belief)
-    free = np.append(tables.belief >= 0, False)
-    near = tables.near[:size]
-    yield np.where(free[near], near, size).astype(near.dtype)
-    yield (
-        np.where(free[:-1], tables.price[np.maximum(tables.belief, 0)], 0) if learning else np.zeros(0, dtype=np.int64)
-    )
-    yield tables.belief.copy()
-    yield np.zeros(size, dtype=np.uint8)
-    yield np.zeros(room if learning else 0, dtype=kind)
-    yield np.zeros(MIND if learning else 0, dtype=np.int64)
-    yield tables.odds.copy()
-    rows = len(tables.starts) + 1 if len(tables.home_cost) else 0
-    yield np.zeros((rows, -(-len(tables.near) // WORD)), dtype=np.uint64)
+def _zeros(*rows: tuple[str, Any, DTypeLike]) -> dict[str, NDArray]:
+    """Arrays of zeros by name, from rows of (names, shape, type)."""
+    return {name: np.zeros(shape, dtype=kind) for names, shape, kind in rows for name in names.split()}
 
 
 def make_state(first: State, levels: int) -> State:
@@ -727,43 +664,33 @@ def make_work(tables: Tables, most: int, remembers: bool, known: Work | None = N
     remembered = min(REMEMBERED, 2 ** (8 + size.bit_length())) if remembers else 0
     rows = 0 if len(tables.cost_to) else max(2, min(size, ROWS_BYTES // (size * tables.cost_to.itemsize)))
     apart = searched + 1 if searched else 0
-    return Work(
-        seen=np.zeros(size + 1, dtype=np.int64),
-        stamp=np.zeros(1, dtype=np.int64),
-        stack=np.zeros(size, dtype=np.uint32),
-        listed=np.zeros(size, dtype=np.uint32),
-        kept=np.full((len(tables.starts), 5), NONE, dtype=np.int64),
-        rows=np.empty((rows, size + 1), dtype=tables.cost_to.dtype),
-        row_costs=np.empty((rows, len(tables.level)), dtype=tables.cost_to.dtype),
-        row_entries=np.empty((rows, len(tables.level)), dtype=tables.near.dtype),
-        row_of=np.full(searched, NONE, dtype=np.int32),
-        source_of=np.full(rows, NONE, dtype=np.int32),
-        asked=np.zeros(searched, dtype=np.uint8),
-        oldest=np.zeros(1, dtype=np.int64),
-        heads=np.zeros(len(tables.kind_cost), dtype=np.int64),
-        tails=np.zeros(len(tables.kind_cost), dtype=np.int64),
-        last=np.full(1, NONE, dtype=np.int64),
-        words=words,
-        left=left,
-        begin=np.zeros(1, dtype=np.int64),
-        at=at,
-        met=met,
-        here=np.zeros(size + 1, dtype=np.int64),
-        moves=np.zeros((2, len(tables.movers)), dtype=np.uint32),
-        rank=np.full(searched, NONE, dtype=np.int32),
-        everywhere=np.arange(apart) < searched,
-        distance=np.full(apart, NONE, dtype=np.int64),
-        queue=np.zeros(searched, dtype=np.uint32),
-        heap_cost=np.zeros(searched, dtype=np.int64),
-        heap_cell=np.zeros(searched, dtype=np.int32),
-        to_go=np.zeros(searched, dtype=np.int64),
-        touched=np.zeros(searched, dtype=np.int64),
-        paths=np.empty(remembered, dtype=np.uint32),
-        slots=np.zeros(min(remembered // 2**4, 2 * MOST_PATHS), dtype=np.uint16),
-        ends=np.zeros(min(remembered // 2**5, MOST_PATHS), dtype=np.int64),
-        remembered=np.ones(1, dtype=np.int64),
-        part=np.zeros(size + 1 if learning else 0, dtype=np.int64),
-        gone=np.zeros(size if learning else 0, dtype=np.uint8),
-        news=np.zeros(size if learning else 0, dtype=np.uint32),
-        minds=np.zeros(2, dtype=np.int64),
+    learned, kinds = (size if learning else 0), len(tables.kind_cost)
+    scratch = _zeros(
+        ("seen here", size + 1, np.int64),
+        ("stack listed", size, np.uint32),
+        ("stamp oldest begin last remembered", 1, np.int64),
+        ("minds", 2, np.int64),
+        ("kept", (len(tables.starts), 5), np.int64),
+        ("source_of", rows, np.int32),
+        ("asked", searched, np.uint8),
+        ("heads tails", kinds, np.int64),
+        ("moves", (2, len(tables.movers)), np.uint32),
+        ("distance", apart, np.int64),
+        ("queue", searched, np.uint32),
+        ("row_of rank heap_cell", searched, np.int32),
+        ("heap_cost to_go touched", searched, np.int64),
+        ("slots", min(remembered // 2**4, 2 * MOST_PATHS), np.uint16),
+        ("ends", min(remembered // 2**5, MOST_PATHS), np.int64),
+        ("part", learned + learning, np.int64),
+        ("gone", learned, np.uint8),
+        ("news", learned, np.uint32),
     )
+    for name in ("kept", "row_of", "source_of", "last", "rank", "distance"):
+        scratch[name][:] = NONE
+    scratch["remembered"][:] = 1
+    # Large arrays that are written before they are read.
+    scratch["rows"] = np.empty((rows, size + 1), dtype=tables.cost_to.dtype)
+    scratch["row_costs"] = np.empty((rows, len(tables.level)), dtype=tables.cost_to.dtype)
+    scratch["row_entries"] = np.empty((rows, len(tables.level)), dtype=tables.near.dtype)
+    scratch["paths"] = np.empty(remembered, dtype=np.uint32)
+    return Work(words=words, left=left, at=at, met=met, everywhere=np.arange(apart) < searched, **scratch)

@@ -38,7 +38,7 @@ from .jit import kernel, rare_kernel
 from .map_belief import clear_changes, recall, revise, update_belief, update_map
 from .moving_threats import has_entered, is_meeting, meet
 from .next_area import could_go_on
-from .replanning import begin, is_news
+from .replanning import begin, goes_on, is_news, passes
 from .return_home import count_at_base, end_range, is_away, move_to_base, start_returns, stay
 from .robot_types import came_back, on_turn, own_turn
 from .solo import only_mover, walk_alone
@@ -48,16 +48,16 @@ from .visits import enter, is_complete, lose, survive
 
 @rare_kernel
 def advance(t, p, s, c, w, log, how, ids):
-    """Run the group until it ends (an Outcome) or splits (PARTED).
+    """Run the group until it ends or splits.
 
-    Returns:
-        The Outcome, PARTED, CUT (all of a tree's mass is below the cut) or AREAS_FULL (the area registry is full).
+    Returns the Outcome, PARTED, CUT (all of a tree's mass is below the cut) or AREAS_FULL (the area registry is full).
     """
     group, robots, verdict = s.marks, s.robots, s.marks.verdict
+    # Kept in registers: LLVM cannot know that no array overlaps the record.
+    step, size = group.step, group.last - group.first
     robot, cell = np.int64(group.robot), np.int64(robots[group.robot].cell)
-    # Bits of the robots of this word that still act in this step.
     word = robot // WORD
-    left = acting(t, p, s, word, robot % WORD if verdict != ACTS else NONE)
+    left = acting(t, p, s, word, robot % WORD if verdict != ACTS else NONE)  # robots that still act in this step
     if verdict == ACTS and p is not None:
         begin(t, s, w)
     forget(t, p, s, w)
@@ -72,10 +72,13 @@ def advance(t, p, s, c, w, log, how, ids):
                         verdict = encounter(t, s, c, w, how, ids)
                         if verdict != ACTS:
                             break
-                    outcome = end_step(t, p, s, c, w, log, how, ids)
+                    if t.learns is None:
+                        outcome = end_step(t, p, s, c, w, log, how)
+                    else:
+                        outcome = learn_and_end(t, p, s, c, w, log, how, ids)
                     if outcome != NONE or how.pause:
                         return outcome
-                    word = 0
+                    step, word = group.step, 0
                 left = acting(t, p, s, word, NONE)
             if verdict == GROUP_SPLITS:
                 return verdict
@@ -86,11 +89,11 @@ def advance(t, p, s, c, w, log, how, ids):
             left &= left - ONE
             if t.returns:
                 group.robot = robot
-            # Turns of a rule that re-evaluates are called, not inlined: LLVM takes minutes over one larger loop.
-            if p is None:  # noqa: SIM108 - a branch that Numba drops
+            # Decisions of a rule that re-evaluates are called, not inlined: LLVM takes minutes over one larger loop.
+            if p is None:
                 turn = fixed_paths.act(t, s, w, log, how, robot)
             else:
-                turn = decide(t, p, s, w, log, how, robot)
+                turn = MOVES if goes_on(t, p, s, robot) else replanning.act(t, p, s, w, log, how, robot)
             if turn == NO_ROOM:
                 return AREAS_FULL
             if turn != MOVES:
@@ -101,11 +104,17 @@ def advance(t, p, s, c, w, log, how, ids):
             if log.noted:
                 note_leg(t, s, log, robot)
             # t = 0 enters the start; a robot on an external path may wait, which is no visit.
-            cell = np.int64(robots[robot].next if group.step > 0 else robots[robot].cell)
-            if p is not None or group.step == 0 or cell != robots[robot].cell:
-                verdict = enter(t, s, c, w, log, how, ids, robot, cell)
-            if verdict < ACTS:
-                return verdict
+            cell = np.int64(robots[robot].next if step > 0 else robots[robot].cell)
+            if p is not None:
+                # A visit in another robot's area makes that area a worse offer: cached offers are void.
+                group.changes += is_news(s, robot, cell)
+                s.home[cell] = np.int64(s.home[cell]) & ~TO_DO
+            if p is not None or step == 0 or cell != robots[robot].cell:
+                verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)
+            if verdict != ACTS:
+                if verdict < ACTS:
+                    return verdict
+                size = group.last - group.first  # a tree's branch may have been cut
         if verdict == HIT:
             verdict = ACTS
             if not lose(t, s, c, w, log, robot):
@@ -116,13 +125,13 @@ def advance(t, p, s, c, w, log, how, ids):
         if verdict == PASSED:
             verdict = ACTS
             if not t.moving:  # else it survives at the end of the step
-                survive(t, s, c, robot, cell)
+                survive(t, s, c, step, robot, cell, size)
                 if t.estimates:
                     update_belief(t, s, cell)
         if p is None:
             turn = arrive(t, p, s, w, log, how, robot, cell)
         else:
-            turn = arrive_called(t, p, s, w, log, how, robot, cell)
+            turn = RESTS if passes(t, s, w, robot, cell) else arrive_called(t, p, s, w, log, how, robot, cell)
         if turn == NO_ROOM:
             return AREAS_FULL
         if turn != MOVES:  # later robots of this step see what has changed
@@ -147,18 +156,6 @@ def acting(t, p, s, word, after):
         robots |= s.waiting[word]
     robots = on_turn(t, s.marks.step, word, robots)
     return robots & (~np.uint64(1) << np.uint64(after)) if after >= 0 else robots
-
-
-@rare_kernel
-def decide(t, p, s, w, log, how, robot):
-    """The turn of a robot of a rule that re-evaluates, up to its move; returns as `replanning.act`."""
-    turn = replanning.act(t, p, s, w, log, how, robot)
-    if turn == MOVES:
-        cell = np.int64(s.robots[robot].next if s.marks.step > 0 else s.robots[robot].cell)
-        # A visit in another robot's area makes that area a worse offer: cached offers are void.
-        s.marks.changes += is_news(s, robot, cell)
-        s.home[cell] = np.int64(s.home[cell]) & ~TO_DO
-    return turn
 
 
 @rare_kernel
@@ -189,24 +186,26 @@ def encounter(t, s, c, w, how, ids):
     if verdict == ACTS:
         for robot in range(len(s.robots)):
             if has_entered(s, robot):
-                survive(t, s, c, robot, s.robots[robot].cell)
+                survive(t, s, c, s.marks.step, robot, s.robots[robot].cell, s.marks.last - s.marks.first)
         s.entered[:] = np.uint64(0)
     return verdict
 
 
 @rare_kernel
-def end_step(t, p, s, c, w, log, how, ids):
-    """End the step: the map is updated, and the run may end.
-
-    Returns:
-        The Outcome, NONE to go on, or AREAS_FULL.
-    """
-    group = s.marks
+def learn_and_end(t, p, s, c, w, log, how, ids):
+    """Update the map, then `end_step`; a call, since LLVM takes minutes if it is inlined."""
     if t.learns:
         got = learn(t, p, s, w, log, how, ids)
         if got == NO_ROOM:
             return np.int64(AREAS_FULL)
-        group.progress |= got
+        s.marks.progress |= got
+    return end_step(t, p, s, c, w, log, how)
+
+
+@kernel
+def end_step(t, p, s, c, w, log, how):
+    """End the step: the run may end. Returns the Outcome, NONE to go on, or AREAS_FULL."""
+    group = s.marks
     group.quiet = 0 if group.progress else group.quiet + 1
     if t.returns and not call_back(t, p, s, w, log):
         return np.int64(AREAS_FULL)
@@ -239,10 +238,7 @@ def over_by(t, p, s, w, outcome):
 
 @rare_kernel
 def learn(t, p, s, w, log, how, ids):
-    """Update the map at the end of a step: GAINS if it changed, else RESTS; NO_ROOM.
-
-    A map update is progress (SPEC section 15): robots without an area ask again in the next step.
-    """
+    """Update the map: GAINS if it changed (progress: robots without an area ask again), else RESTS; NO_ROOM."""
     count, fresh = update_map(t, s, w, how, ids)
     if p is not None and fresh and len(p.view_begin) > 0:
         s.marks.changes += 1  # areas would reveal fewer cells: cached offers are void

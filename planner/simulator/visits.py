@@ -140,14 +140,13 @@ def prune(t, s, c, how, cell, lost_from):
 
 
 @kernel
-def enter(t, s, c, w, log, how, ids, robot, cell):
+def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
     """Move into the cell.
 
     Returns:
         ACTS if there is no danger, PASSED or HIT for all rollouts, PARTED if the group splits, or CUT.
     """
-    marks, step = s.marks, s.marks.step
-    size = marks.last - marks.first
+    marks = s.marks
     s.robots[robot].cell = cell
     # The group is one run: each event counts for all of its rollouts.
     c.visits[cell] += size
@@ -172,7 +171,7 @@ def enter(t, s, c, w, log, how, ids, robot, cell):
             c.unsurvived[cell] += size
             marks.unsurvived += 1
     elif survives and s.home[cell] & SURVIVED == 0:  # a robot of another type was lost there
-        mark_survived(s, c, cell)
+        mark_survived(s, c, step, cell, size)
     if not safe and (fresh or not how.first_only) and not (t.spends and holds(s.spent, cell)):
         lost_from = first_lost(t, s, c, w, how, ids, robot, cell, place)
         # All rollouts lose the robot: still one run, so no state is copied.
@@ -220,19 +219,18 @@ def lose(t, s, c, w, log, robot):
 
 
 @kernel
-def mark_survived(s, c, cell):
+def mark_survived(s, c, step, cell, size):
     """Mark a visited cell as survived for the first time."""
-    size = s.marks.last - s.marks.first
     s.home[cell] |= SURVIVED
-    c.late[s.marks.step] += size
+    c.late[step] += size
     c.unsurvived[cell] -= size
     s.marks.unsurvived -= 1
 
 
 @kernel
-def survive(t, s, c, robot, cell):
+def survive(t, s, c, step, robot, cell, size):
     """Count that the robot entered a dangerous cell and survived."""
     count_pass(s, cell)
     deliver(t, s, robot, cell)
     if s.home[cell] & SURVIVED == 0:
-        mark_survived(s, c, cell)
+        mark_survived(s, c, step, cell, size)

@@ -51,18 +51,11 @@ class Picture:
         bright: float64 `[H, W]`, 0 black .. 1 white, mean of red, green, blue.
         alpha: float64 `[H, W]`, 0 transparent .. 1 opaque; None: the picture has no transparency.
         coloured: bool `[H, W]`, neither black, grey, white nor fully transparent.
-        lossy: whether compression may have changed the values.
     """
 
     bright: NDArray[np.float64]
     alpha: NDArray[np.float64] | None
     coloured: NDArray[np.bool_]
-    lossy: bool = False
-
-    @property
-    def grey(self) -> NDArray[np.int64]:
-        """Grey value 0..255 of every pixel, int64 `[H, W]`; -1 for coloured ones."""
-        return np.where(self.coloured, -1, np.rint(self.bright * 255).astype(np.int64))
 
     def colours(self, readings: dict[str, NDArray[np.bool_]]) -> tuple[str, ...]:
         """A note on how coloured pixels are read, if there are any.
@@ -111,8 +104,7 @@ def _picture(image: Image.Image) -> Picture:
     pixels = np.asarray(image.convert("RGBA"))
     bright = pixels[..., :3].sum(axis=2, dtype=np.float64) / (3 * 255)
     coloured = (pixels[..., 3] > 0) & (np.ptp(pixels[..., :3], axis=2) > COLOURED)
-    lossy = image.format == "JPEG" or image.info.get("compression") == "jpeg"  # of TIFF
-    return Picture(bright, pixels[..., 3] / 255 if image.has_transparency_data else None, coloured, lossy)
+    return Picture(bright, pixels[..., 3] / 255 if image.has_transparency_data else None, coloured)
 
 
 # ROS map_server maps (a YAML file and an image), by nav2's rules.
@@ -125,8 +117,6 @@ OPTIONAL = ("datum",)
 """Required and optional keys of a map's YAML file; `datum`, the position of the frame's (0, 0), is ours."""
 UNKNOWN_GREYS = {205: "map_saver", 128: "cartographer"}
 """Greys that programs write for unknown ground, with black = occupied."""
-LOSSY = 2
-"""Largest difference of a pixel from that grey under lossy compression."""
 
 
 def read_ros_map(path: Path, top: Key | None = None) -> Grid:
@@ -226,18 +216,17 @@ def _unknown_greys(
     mode: str, picture: Picture, values: NDArray[np.int16], p: NDArray[np.float64], negate: bool
 ) -> list[str]:
     """A note for every grey of unknown ground that the thresholds make free or an obstacle."""
-    notes = []
+    notes, greys = [], np.where(picture.coloured, -1, np.rint(picture.bright * 255))
     for unknown, writer in UNKNOWN_GREYS.items():
-        grey, off = 255 - unknown if negate else unknown, LOSSY if picture.lossy else 0
-        said = f"grey {grey}" + (f" ({grey - off} to {grey + off} under lossy compression)" if off else "")
+        grey = 255 - unknown if negate else unknown
         for taken, value in (("free", 0), ("an obstacle", OCCUPIED)):
-            held = (np.abs(picture.grey - grey) <= off) & (values == value)
+            held = (greys == grey) & (values == value)
             if held.any():
                 below = math.floor(1000 * p[held].min()) / 1000
                 fix = f"free_thresh: {below:g}" if value == 0 else "occupied_thresh: 0.65"
                 fix = fix if mode == "trinary" else f"mode: trinary` and `{fix}"  # scale grades what is in between
                 notes.append(
-                    f"{said}, which {writer} writes for unknown ground, is {taken} in "
+                    f"grey {grey}, which {writer} writes for unknown ground, is {taken} in "
                     f"{counted(int(held.sum()), 'pixel')}; with `{fix}` in a map_server YAML file it is unknown"
                 )
     return notes

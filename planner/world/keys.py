@@ -264,10 +264,7 @@ _Loader.yaml_implicit_resolvers = {
     first: [(tag, pattern) for tag, pattern in known if tag in (TAG + "bool", TAG + "null", TAG + "merge")]
     for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
-for _kind, _pattern, _first in (
-    ("int", INTEGER, "-+0123456789"),
-    ("float", f"{FLOAT}|{INFINITE}", "-+.0123456789"),
-):
+for _kind, _pattern, _first in (("int", INTEGER, "-+0123456789"), ("float", f"{FLOAT}|{INFINITE}", "-+.0123456789")):
     _Loader.add_implicit_resolver(TAG + _kind, re.compile(rf"(?:{_pattern})\Z"), list(_first))
 for _kind in ("bool", "int", "float"):
     _Loader.add_constructor(TAG + _kind, _Loader.scalar)

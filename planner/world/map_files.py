@@ -6,9 +6,10 @@ import codecs
 import math
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.reader import NonSeekingReader
@@ -16,9 +17,8 @@ from numpy.typing import NDArray
 
 from planner.arguments import Numbers, argument, did_you_mean, whole
 from planner.errors import MapError
-from planner.files import Json, check_file, check_size, library_errors, read_json, why_no_file
+from planner.files import Json, check_file, check_size, damage_reported, library_errors, mapped, read_json, why_no_file
 from planner.formatting import counted
-from planner.mcap import damage_reported, mapped
 from planner.world.frame import Frame
 from planner.world.grid import FREE, OCCUPIED, UNKNOWN, Grid, occupied
 from planner.world.image_files import SUFFIXES as IMAGES
@@ -139,17 +139,25 @@ def _listed(topics: dict[str, str]) -> str:
 
 def _add_grids(path: Path, grids: dict[str, tuple[int, bytes]], others: dict[str, str]) -> None:
     """Add log time and data of the latest grid of each topic of a file, and the types of topics without grids."""
-    check_size(path, MAX_BYTES, MapError, "a log", "cut the map's topic out")
-    reader = NonSeekingReader(mapped(path, MapError), validate_crcs=True)  # in the file's order, chunk by chunk
+    for kind, channel, message in log_messages(path, "cut the map's topic out"):
+        if (kind, channel.message_encoding) == (SCHEMA, ENCODING):
+            if message.log_time >= grids.get(channel.topic, (0, b""))[0]:
+                grids[channel.topic] = message.log_time, message.data
+        elif len(others) < MOST_TOPICS:
+            said = channel.message_encoding
+            others[channel.topic] = kind if said == ENCODING else f"{kind}, {said}"
+
+
+def log_messages(path: Path, fix: str) -> Iterator[tuple[str, Any, Any]]:
+    """(type, channel, message) of an MCAP file, in the file's order, chunk by chunk.
+
+    Raises MapError: it is damaged, or too large; `fix` makes it smaller.
+    """
+    check_size(path, MAX_BYTES, MapError, "a log", fix)
+    reader = NonSeekingReader(mapped(path, MapError), validate_crcs=True)
     with damage_reported(path, MapError):
         for schema, channel, message in reader.iter_messages(log_time_order=False):
-            kind = schema.name if schema else "no type"
-            if (kind, channel.message_encoding) == (SCHEMA, ENCODING):
-                if message.log_time >= grids.get(channel.topic, (0, b""))[0]:
-                    grids[channel.topic] = message.log_time, message.data
-            elif len(others) < MOST_TOPICS:
-                said = channel.message_encoding
-                others[channel.topic] = kind if said == ENCODING else f"{kind}, {said}"
+            yield schema.name if schema else "no type", channel, message
 
 
 def _decode(data: bytes, path: Path) -> Grid:
@@ -174,12 +182,8 @@ def _decode(data: bytes, path: Path) -> Grid:
         grid >= OCCUPIED_PERCENT, OCCUPIED, np.where((grid >= 0) & (grid <= FREE_PERCENT), FREE, UNKNOWN)
     ).astype(np.int16)
     between = int(((grid > FREE_PERCENT) & (grid < OCCUPIED_PERCENT)).sum())
-    notes = (
-        (f"unknown, since its value is between {FREE_PERCENT} and {OCCUPIED_PERCENT}: {counted(between, 'pixel')}",)
-        if between
-        else ()
-    )
-    return Grid(state, Frame((height, width), size, (x, y, yaw)), str(path), notes=notes)
+    note = f"unknown, since its value is between {FREE_PERCENT} and {OCCUPIED_PERCENT}: {counted(between, 'pixel')}"
+    return Grid(state, Frame((height, width), size, (x, y, yaw)), str(path), notes=(note,) * (between > 0))
 
 
 # Instances of other planners as worlds: MAPS (YAML), LS-MCPP (`.mcpp`) and DORA-Explorer (`.json`).

@@ -380,6 +380,21 @@ def values_over(layer: Grid, frame: Frame) -> NDArray[np.int16]:
     return value
 
 
+def edges(rings: Rings, frame: Frame, snap: float = 0.0) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """The ends (x, y) of every edge in pixels, x to the right and y down: a row's centre is at row + 0.5.
+
+    Args:
+        rings: `[points, 2]` each, metres.
+        frame: of the pixels.
+        snap: distance within which corners are moved to the sides of pixels.
+    """
+    for ring in rings:
+        corners = frame.local(ring) / frame.size
+        corners[:, 1] = frame.shape[0] - corners[:, 1]
+        corners = np.where(np.abs(corners - np.rint(corners)) < snap, np.rint(corners), corners)
+        yield from zip(corners, np.roll(corners, -1, axis=0), strict=True)
+
+
 def inside(rings: list[NDArray[np.float64]], frame: Frame) -> NDArray[np.bool_]:
     """bool `[H, W]`: pixels whose centre is in a polygon (even-odd rule, so holes are outside).
 
@@ -391,15 +406,12 @@ def inside(rings: list[NDArray[np.float64]], frame: Frame) -> NDArray[np.bool_]:
     """
     height, width = frame.shape
     flips = np.zeros((height, width + 1), dtype=np.uint8)
-    for ring in rings:
-        corners = frame.local(ring) / frame.size
-        corners[:, 1] = height - corners[:, 1]  # downwards, in pixels: a row's centre is at row + 0.5
-        for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-            first, last = (int(np.clip(math.ceil(y - 0.5), 0, height)) for y in sorted((y0, y1)))
-            rows = np.arange(first, last)
-            crossing = x0 + (rows + 0.5 - y0) * (x1 - x0) / (y1 - y0) if len(rows) else rows
-            # Parity of crossings to the left of a pixel's centre, computed by a cumulative XOR below.
-            flips[rows, np.clip(np.ceil(crossing - 0.5), 0, width).astype(int)] ^= 1
+    for (x0, y0), (x1, y1) in edges(rings, frame):
+        first, last = (int(np.clip(math.ceil(y - 0.5), 0, height)) for y in sorted((y0, y1)))
+        rows = np.arange(first, last)
+        crossing = x0 + (rows + 0.5 - y0) * (x1 - x0) / (y1 - y0) if len(rows) else rows
+        # Parity of crossings to the left of a pixel's centre, computed by a cumulative XOR below.
+        flips[rows, np.clip(np.ceil(crossing - 0.5), 0, width).astype(int)] ^= 1
     return (np.bitwise_xor.accumulate(flips, axis=1)[:, :width]).astype(bool)
 
 
@@ -438,9 +450,19 @@ class Table(NamedTuple):
         """Notes on how it was read."""
         return layout_note(self.separator, "," if any(sign.decimal == "," for sign in self.signs) else ".")
 
+    @property
+    def described(self) -> str:
+        """Its columns, for the error about those that it lacks."""
+        return f"has the columns {', '.join(self.names)[:80]}" if self.names else "has no header"
+
     def column(self, *options: str) -> int | None:
         """Index of the column with the first of these names that exists, or None."""
         return next((self.names.index(name) for name in options if name in self.names), None)
+
+    def columns(self, *options: Sequence[str]) -> list[int]:
+        """Indices of the columns of several coordinates; [] if one of them is missing."""
+        found = [self.column(*names) for names in options]
+        return [] if None in found else [at for at in found if at is not None]
 
     def number(self, row: tuple[int, list[str]], column: int, name: str, far: float = math.inf) -> float:
         """A finite number in a field.
@@ -469,9 +491,9 @@ class Table(NamedTuple):
             raise MapError(problem, source=self.path, expected=f"metres, none beyond {far:g}")
         return value
 
-    def places(self, columns: Sequence[int]) -> NDArray[np.float64]:
-        """Two coordinates per line, float64 `[lines, 2]`."""
-        both = list(zip(columns, ("x", "y"), strict=True))
+    def places(self, columns: Sequence[int], names: tuple[str, str] = ("x", "y")) -> NDArray[np.float64]:
+        """Two coordinates per line, float64 `[lines, 2]`; their names are for messages."""
+        both = list(zip(columns, names, strict=True))
         return np.array([[self.number(row, at, name, FARTHEST) for at, name in both] for row in self.rows])
 
     def lonlat(self, columns: Sequence[int]) -> NDArray[np.float64]:
@@ -568,11 +590,11 @@ def read_points(
 
 def _columns(table: Table, georeferenced: bool, of: Quantity, said: Mapping[str, str]) -> tuple[list[int], bool]:
     """Indices of the columns x, y and strength, and whether the first two are longitude and latitude."""
-    names, has = table.names, f"has the columns {', '.join(table.names)[:80]}"
+    names, has = table.names, table.described
     if not names:
         width = len(table.rows[0][1])
         if said or width != 3:
-            problem = "has no header" if said else f"line {table.rows[0][0]} has {width} values"
+            problem = has if said else f"line {table.rows[0][0]} has {width} values"
             fix = DECIMAL_COMMAS if table.separator == "," and width > 3 and not said else ""
             raise MapError(problem, source=table.path, expected="x, y, strength", fix=fix)
         return [0, 1, 2], False

@@ -112,16 +112,13 @@ def read_raster(
 
 def _placed(band: Band, source: str, cell_size: float | None, how: How, over: Ground | None) -> Raster:
     """The band on pixels of its own, or on the map's if its position or pixels differ."""
-    grid = None if over is None else over.grid
-    if over is None or grid is None or grid.georeference is None or not _says_where(band) or _same(band, over):
+    grid, crs = (None if over is None else over.grid), band.crs
+    placed = band.bounds is not None and crs is not None and (crs.is_geographic or crs.is_projected)
+    if over is None or grid is None or grid.georeference is None or not placed or _same(band, over):
         return _on_the_ground(band, source, cell_size, how)
     values = lay_over(band, grid.frame, grid.georeference, how, source)
     note = f"{band.crs.to_string()[:40]}, {size_of(band.values.shape)} pixels, laid over the map's: {WORDS[how]}"
     return Raster(values, grid.frame, grid.bounds, source, (note,), grid.georeference)
-
-
-def _says_where(band: Band) -> bool:
-    return band.bounds is not None and band.crs is not None and (band.crs.is_geographic or band.crs.is_projected)
 
 
 def _same(band: Band, over: Ground) -> bool:

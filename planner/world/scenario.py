@@ -123,16 +123,6 @@ NEARLY = 0.02
 """Largest relative distance of 1 / speed from a whole number of steps: 0.33 counts as a third."""
 
 
-def pace_in(keys: dict[str, Key], world: World) -> Pace:
-    """The pace of a scenario.
-
-    Raises:
-        ScenarioError: a key is invalid, or a speed is given without a cell size.
-    """
-    turn = keys["turn"].number(TURNS) if "turn" in keys else 0.0
-    return Pace(_seconds_in(keys, world), turn)
-
-
 def steps_per_move(key: Key) -> Key:
     """Speed in cells per step, one number for all robots or one each, as whole steps per move.
 
@@ -171,7 +161,10 @@ def _seconds_in(keys: dict[str, Key], world: World) -> float | None:
 DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 """Keys of a scenario file that are always there."""
 SETTINGS = ("levels", "policy", "risk_cap", "robot_value", "plan_for", "weibull_shape", "deadline", "in_area")
-OF_ROBOTS = ("range", "hazard_multiplier", "return_to", "recharge", "deliver_every", "types", "steps_per_move", "radio")
+OF_ROBOTS = (
+    "range", "hazard_multiplier", "return_to", "recharge", "deliver_every", "wrecks", "types", "steps_per_move",
+    "radio",
+)  # fmt: skip
 """Planner settings as keys of a scenario, and those under its key `robots`."""
 OPTIONAL = (
     "cell_size", "datum", "keepout", "robots", *UNCERTAIN, "plan_on", "value", "detect", *KNOWLEDGE,
@@ -229,27 +222,23 @@ def load_input(path: str | Path, cell_size: float | None = None) -> World:
 
 
 def _with_size_note(world: World, bare: bool) -> World:
-    note = _size_note(world, bare)
-    return replace(world, notes=(*world.notes, note)) if note else world
-
-
-def _size_note(world: World, bare: bool) -> str:
-    """A note on the size of cells if they are smaller than most robots, or many; else "".
+    """The world with a note on the size of cells if they are smaller than most robots, or many.
 
     `bare`: the map is not part of a scenario, which could give the size.
     """
     (height, width), side, count = world.shape, world.cell_size, world.threat.size
     if side >= SMALL_ROBOT and count <= MANY_CELLS:
-        return ""
+        return world
     many = math.ceil((count / MANY_CELLS) ** 0.5) if side >= SMALL_ROBOT else math.ceil(USUAL_CELL / side - WHOLE)
     ratio = max(1, min(many, height, width))
     larger = round(ratio * side, 9)
     usual = argument("cell_size", larger) if bare else f"`cell_size: {larger:g}` in the scenario"
     pixel = f"{side:g} m" if world.measured else f"{side:g} m (presumed)"
-    return (
+    note = (
         f"{height} x {width} = {count:,} cells: a cell is a pixel of {pixel}, {ROBOT_IS} {side:g} m wide; give its "
         f"footprint, {'usually ' * (side < SMALL_ROBOT)}{usual} ({(height // ratio) * (width // ratio):,} cells)"
     )
+    return replace(world, notes=(*world.notes, note))
 
 
 def place_of(name: str) -> str:
@@ -388,7 +377,8 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
     )  # fmt: skip
     world = replace(world, sources=apart, measured=ground.grid.measured)
     # Order: uncertainty before the unknown map, since sensors may choose among its candidates.
-    world = _with_uncertainty(replace(world, pace=pace_in(keys, world)), ground, keys)
+    pace = Pace(_seconds_in(keys, world), keys["turn"].number(TURNS) if "turn" in keys else 0.0)
+    world = _with_uncertainty(replace(world, pace=pace), ground, keys)
     if "weibull_shape" in keys and isinstance(keys["weibull_shape"].value, dict):  # 0.3's `wear: {shape: 2}`
         keys["weibull_shape"] = keys["weibull_shape"].mapping(("shape",))["shape"]
     asked = _settings(SETTINGS, keys)
@@ -518,12 +508,7 @@ def team_keys(team: dict[str, Any], settings: Settings, pace: Pace) -> dict[str,
 
 
 def write_scenario(
-    out: Path,
-    source: Path,
-    starts: NDArray[np.int64],
-    settings: Settings,
-    pace: Pace,
-    cell_size: float | None = None,
+    out: Path, source: Path, starts: NDArray[np.int64], settings: Settings, pace: Pace, cell_size: float | None = None
 ) -> None:
     """Write a scenario with other starts, atomically; comments are lost.
 

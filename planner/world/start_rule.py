@@ -191,7 +191,6 @@ def as_before(world: World) -> World:
 
 BEFORE, NOW = 1, 2
 """Versions of the rules: of releases before 0.4, and of release 0.4."""
-RELEASES = {BEFORE: "before 0.4", NOW: "0.4"}
 
 
 def rules_of(world: World, settings: Settings, *, closed: bool = True) -> int:

@@ -57,11 +57,6 @@ def check_p(p: NDArray[np.float64], values: NDArray[np.float64], key: Key, fix: 
         raise key.fault(f"gives p = {p[at]:g} for the value {values[at]:g} {where}", PROBABILITY.expected, fix)
 
 
-def has_classes(rule: Key | None) -> bool:
-    """Whether values are classes, which must not be averaged."""
-    return rule is not None and isinstance(rule.value, dict) and rule.value.get("kind") == "classes"
-
-
 def by_rule(key: Key | None, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
     """Apply a rule to values.
 
@@ -179,8 +174,9 @@ def one_source(key: Key, sources: Collection[str]) -> str:
 def raster_threat(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     """Threat of a raster on the map's pixels or on the cells, through a rule from values to p (none: values are p)."""
     rule = keys.get("rule")
+    given = None if rule is None else rule.value
     # The mean of two classes is no class.
-    how: How = "nearest" if has_classes(rule) else "average"
+    how: How = "nearest" if isinstance(given, dict) and given.get("kind") == "classes" else "average"
     raster, free, pixels = raster_on(keys["raster"], ground, how, PROBABILITIES if rule is None else AMOUNTS)
     with np.errstate(over="ignore", invalid="ignore"):
         p, fix = by_rule(rule, np.where(free, raster.values, 0.0))
@@ -527,19 +523,13 @@ def _raster(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     return Says(_over_pixels(of, ground)(values) if pixels else values, ground.free, raster.notes)
 
 
-def _polygons(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
-    """The number of the last polygon that holds the centre of a cell."""
-    return _laid(*_of_polygons(keys, of, ground.frame, ground), lambda before, number: number, ground)
-
-
-def _value_points(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
-    """Points with a strength each. If several affect a cell, values add up, and the largest detection counts."""
-    things, _, notes = _of_points(keys, of, ground.frame, ground)
-    return _laid(things, notes, np.add if of is VALUE else np.maximum, ground)
-
-
-def _laid(things: Sequence[Thing], notes: tuple[str, ...], merge: Merge, ground: Ground) -> Says:
-    """Objects on the cells; `merge` gives the number of a cell from that before and the object's."""
+def _objects(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
+    """Polygons, the last that holds a cell's centre counts; or points: values add up, the largest detection counts."""
+    merge: Merge = np.add if of is VALUE else np.maximum
+    if "polygons" in keys:
+        (things, notes), merge = _of_polygons(keys, of, ground.frame, ground), lambda before, number: number
+    else:
+        things, _, notes = _of_points(keys, of, ground.frame, ground)
     says, where = np.zeros(ground.frame.shape), np.zeros(ground.frame.shape, dtype=bool)
     for thing in things:
         says.flat[thing.at] = merge(says.flat[thing.at], thing.p)
@@ -550,7 +540,7 @@ def _laid(things: Sequence[Thing], notes: tuple[str, ...], merge: Merge, ground:
 VALUE_SOURCES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Key], Quantity, Ground], Says]]] = {
     "everywhere": ((), _everywhere),
     "raster": ((), _raster),
-    "polygons": (("",), _polygons),
-    "points": (("falloff", *COLUMNS), _value_points),
+    "polygons": (("",), _objects),
+    "points": (("falloff", *COLUMNS), _objects),
 }
 """Kinds of sources: further keys ("": the name of the layer), and reader."""

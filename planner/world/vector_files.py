@@ -47,6 +47,7 @@ from planner.world.points import (
     boxes_of,
     check_range,
     closed,
+    edges,
     extent,
     fine,
     in_range,
@@ -398,15 +399,12 @@ def _flat(places: Any) -> Any:
 def _csv(path: Path, number: str) -> Shapes:
     """One polygon from the lines of a CSV file, one corner per line."""
     table = read_table(path, "lines x, y")
-    metres, degrees = ([table.column(*names) for names in of] for of in ((X, Y), (LONGITUDE, LATITUDE)))
-    on_earth = None in metres and None not in degrees
-    columns = degrees if on_earth else metres
-    if None in columns:
-        if len(table.rows[0][1]) != 2:
-            problem = f"has the columns {', '.join(table.names)[:80]}" if table.names else "has no header"
-            raise MapError(problem, source=path, expected="columns x and y, or lon and lat: a corner a line")
-        columns = [0, 1]
-    corners = (table.lonlat if on_earth else table.places)([column or 0 for column in columns])
+    metres, degrees = table.columns(X, Y), table.columns(LONGITUDE, LATITUDE)
+    columns = metres or degrees or [0, 1]
+    on_earth = columns is degrees
+    if not metres and not degrees and len(table.rows[0][1]) != 2:
+        raise MapError(table.described, source=path, expected="columns x and y, or lon and lat: a corner a line")
+    corners = (table.lonlat if on_earth else table.places)(columns)
     if len(corners) < 3:
         raise MapError(f"{len(corners)} corners", source=path, expected="three around an area, or more")
     return Shapes([Feature(None, [[corners]])], WGS84 if on_earth else "", table.notes)
@@ -500,24 +498,20 @@ def touched(rings: Rings, frame: Frame) -> NDArray[np.bool_]:
     """
     height, width = frame.shape
     counts = np.zeros((height, width + 1), dtype=np.int64)
-    for ring in rings:
-        corners = frame.local(ring) / frame.size
-        corners[:, 1] = height - corners[:, 1]
-        # Snapped to the sides of cells: an edge along a side touches no cell.
-        corners = np.where(np.abs(corners - np.rint(corners)) < WHOLE, np.rint(corners), corners)
-        for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-            low, high = sorted((y0, y1))
-            rows = np.arange(max(math.floor(low), 0), min(math.ceil(high), height))
-            if not len(rows):
-                continue  # along a side, or off the grid
-            slope = (x1 - x0) / (y1 - y0) if y1 != y0 else 0.0
-            at = [x0 + (np.clip(edge, low, high) - y0) * slope for edge in (rows, rows + 1)]
-            # A horizontal edge covers all columns between its ends.
-            at = at if slope or x0 == x1 else [np.array([x0]), np.array([x1])]
-            first = np.clip(np.floor(np.minimum(*at) + WHOLE), 0, width).astype(int)
-            after = np.clip(np.ceil(np.maximum(*at) - WHOLE), 0, width).astype(int)
-            counts[rows, first] += 1
-            counts[rows, np.maximum(first, after)] -= 1
+    # Snapped to the sides of cells: an edge along a side touches no cell.
+    for (x0, y0), (x1, y1) in edges(rings, frame, WHOLE):
+        low, high = sorted((y0, y1))
+        rows = np.arange(max(math.floor(low), 0), min(math.ceil(high), height))
+        if not len(rows):
+            continue  # along a side, or off the grid
+        slope = (x1 - x0) / (y1 - y0) if y1 != y0 else 0.0
+        at = [x0 + (np.clip(edge, low, high) - y0) * slope for edge in (rows, rows + 1)]
+        # A horizontal edge covers all columns between its ends.
+        at = at if slope or x0 == x1 else [np.array([x0]), np.array([x1])]
+        first = np.clip(np.floor(np.minimum(*at) + WHOLE), 0, width).astype(int)
+        after = np.clip(np.ceil(np.maximum(*at) - WHOLE), 0, width).astype(int)
+        counts[rows, first] += 1
+        counts[rows, np.maximum(first, after)] -= 1
     return np.cumsum(counts, axis=1)[:, :width] > 0
 
 

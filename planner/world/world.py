@@ -513,11 +513,10 @@ class World:
         """
         self._require_single_uncertainty("latent_hazard", over=Hazard)
         if learn and kind == "independent":
-            problem, expected = (
-                "hazards drawn independently for every visit cannot be estimated",
-                "persistent or consumed ones",
+            problem = "hazards drawn independently for every visit cannot be estimated"
+            raise WorldError(
+                problem, source=self.source, expected="persistent or consumed ones", fix="leave `learn` out"
             )
-            raise WorldError(problem, source=self.source, expected=expected, fix="leave `learn` out")
         hazard = make_hazard("persistent" if kind == "independent" else kind, q, h, self.free, self.source)
         hazard = replace(hazard, learn=bool(learn))
         return self._planning_on(hazard.threat, None if kind == "independent" else hazard)
@@ -557,12 +556,10 @@ class World:
         levels = find_levels(self.threat, self.free, MOST_LEVELS).of_cell.reshape(self.shape)
         uncertain, cut = spread_of(self.threat, levels, kind, amount, by, self.source)
         PLANNED_QUANTILE.check("plan_on", plan_on, WorldError, self.source, optional=True)
-        notes = (
-            (f"the spread on p is cut off below 1 in {cut} cells: their mean is lower than the map's",) if cut else ()
-        )
+        note = f"the spread on p is cut off below 1 in {cut} cells: their mean is lower than the map's"
         # The mean of the spread is p up to rounding: the map's own values keep its levels exact.
         found = self._planning_on(self.threat if plan_on is None else uncertain.plan_on(plan_on), uncertain)
-        return replace(found, notes=(*self.notes, *notes))
+        return replace(found, notes=(*self.notes, *[note] * (cut > 0)))
 
     def with_true_map(self, true_map: World | ArrayLike, sensor_range: SensorRange = 0) -> World:
         """The world as the robots' prior map, together with the true map, which destroys robots.

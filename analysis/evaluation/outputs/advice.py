@@ -23,7 +23,6 @@ from analysis.statistics.variance_reduction import tally_mean
 from analysis.utils.tables import without_level
 from planner.arguments import COMMAND_LINE, argument
 from planner.errors import PlanError, WorldError
-from planner.files import Json
 from planner.formatting import counted, percent
 from planner.plan.plan import Plan
 from planner.policies import RULES
@@ -40,6 +39,27 @@ CLEARLY = 0.01
 """Difference of coverage that justifies additional losses."""
 USEFUL = 0.5
 """Smallest coverage of a setting with almost no losses, relative to the plan's."""
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A setting with its estimates."""
+
+    point: Point
+    json_keys = """
+        point.setting.policy point.setting.risk_cap point.setting.robot_value point.coverage point.losses
+    """
+
+
+@dataclass(frozen=True)
+class Alternatives:
+    """The advised setting, its lead in coverage over the plan, the rollouts of each setting, and all settings."""
+
+    advised: Alternative
+    difference: Estimate
+    rollouts: int
+    front: list[Alternative]
+    json_keys = "*advised difference rollouts front"
 
 
 @dataclass(frozen=True)
@@ -128,14 +148,11 @@ class Advice(Output):
         """Whether the plan loses a considerable share of the team, and this setting at most half of that."""
         return self.now[2].mean > CHEAP * self.robots and self.now[2].mean > 2 * point.losses.mean
 
-    def to_json(self) -> Json | None:
+    def to_json(self) -> Alternatives | None:
         if self.advised is None or self.difference is None:
             return None
-        front = [
-            {**point.setting.limits_json(), "coverage": point.coverage, "losses": point.losses} for point in self.points
-        ]
-        chosen = front[self.points.index(self.advised)]
-        return {**chosen, "difference": self.difference, "rollouts": self.rollouts, "front": front}
+        front = [Alternative(point) for point in self.points]
+        return Alternatives(Alternative(self.advised), self.difference, self.rollouts, front)
 
     def elements(self) -> Elements:
         below = [self.chart()] if self.points else []

@@ -19,13 +19,12 @@ from numpy.typing import NDArray
 
 from analysis.estimators.racing import only, sample_with_known_hazards, sample_with_known_maps, with_eyes
 from analysis.estimators.trial import Measured, Sampled, Trial, alike
-from analysis.evaluation.figures import Elements, Output, Run, against, team_json, team_table
+from analysis.evaluation.figures import Elements, Output, Run, against, team_table
 from analysis.page.elements import CellLayer, Chart, Series
 from analysis.statistics.estimates import Estimate
 from analysis.utils.tables import Column
 from planner.arguments import argument
 from planner.errors import UsageError
-from planner.files import Json
 from planner.formatting import counted
 from planner.make_plan import allocated_plan
 from planner.plan.plan import Plan
@@ -45,19 +44,35 @@ class Team:
 
     range: float
     found: Measured
+    json_keys = "range=stated_range *found"
 
-    @cached_property
-    def coverage(self) -> Estimate:
-        """Mean visited coverage, a fraction of the accessible cells."""
-        return self.found.mean("visited", 1.0 / self.found.largest("visited"))
+    @property
+    def stated_range(self) -> float | str:
+        """The range in cells; "inf": unlimited."""
+        return "inf" if isinf(self.range) else self.range
 
     def ahead(self, other: Team) -> Estimate:
         """Mean visited coverage minus the other team's, a fraction of the accessible cells."""
-        return self.found.ahead(other.found, "visited", 1.0 / self.found.largest("visited"))
+        return self.found.covers_more(other.found)
 
-    def to_json(self) -> Json:
-        """The JSON object of the figures."""
-        return {"range": "inf" if isinf(self.range) else self.range} | team_json(self.found)
+
+@dataclass(frozen=True)
+class OnCurve:
+    """A team, and the coverage that it lacks of the team with a known map."""
+
+    team: Team
+    behind: Estimate
+    json_keys = "*team behind"
+
+
+@dataclass(frozen=True)
+class Step:
+    """Two neighbouring sensor ranges, and the gain in coverage from the first to the second."""
+
+    near: Team
+    far: Team
+    gain: Estimate
+    json_keys = "from=near.range to=far.range gain"
 
 
 def _sees(far: float) -> str:
@@ -76,6 +91,10 @@ class Knowledge(Output):
     sense: Sense
     teams: tuple[Team, ...]
     believed: CellLayer
+    json_keys = """
+        known=known_map learning no_sensor price_of_not_knowing value_of_sensing steps curve
+        rollouts=known_map.found.rollouts
+    """
 
     @classmethod
     def check(cls, asked: Sequence[float], world: World) -> None:
@@ -139,18 +158,20 @@ class Knowledge(Output):
         sampled = f"{counted(found.rollouts, 'rollout')} of each, common random numbers"
         return sampled if isinstance(found, Sampled) else "exact"
 
-    def to_json(self) -> Json:
-        learning, no_sensor = self.learning, self.no_sensor
-        return {
-            "known": self.known_map.to_json(),
-            "learning": learning.to_json(),
-            "no_sensor": no_sensor and no_sensor.to_json(),
-            "price_of_not_knowing": self.known_map.ahead(learning),
-            "value_of_sensing": no_sensor and learning.ahead(no_sensor),
-            "steps": [{"from": one.range, "to": other.range, "gain": more} for one, other, more in self.steps],
-            "curve": [team.to_json() | {"behind": self.known_map.ahead(team)} for team in self.teams],
-            "rollouts": self.known_map.found.rollouts,
-        }
+    @property
+    def price_of_not_knowing(self) -> Estimate:
+        """Gain in coverage of a known map over learning."""
+        return self.known_map.ahead(self.learning)
+
+    @property
+    def value_of_sensing(self) -> Estimate | None:
+        """Gain in coverage of learning over no sensor; None without that team."""
+        return None if self.no_sensor is None else self.learning.ahead(self.no_sensor)
+
+    @property
+    def curve(self) -> list[OnCurve]:
+        """Every team."""
+        return [OnCurve(team, self.known_map.ahead(team)) for team in self.teams]
 
     def elements(self) -> Elements:
         names = {_sees(team.range) if team is not self.known_map else "known map": team for team in self.teams}
@@ -170,24 +191,24 @@ class Knowledge(Output):
             yield against("With a known map", self.known_map.found, learning.found)
         if no_sensor is not None and no_sensor is not learning:
             yield against("Without a sensor", no_sensor.found, learning.found)
-        if steps := [
-            f"{more.describe(100, ' points')} from {near.range:g} to {far.range:g}" for near, far, more in self.steps
-        ]:
-            yield f"Gain by sensor range, cells: {', '.join(steps)}."
+        gain = "{} from {:g} to {:g}"
+        said = [gain.format(s.gain.describe(100, " points"), s.near.range, s.far.range) for s in self.steps]
+        if said:
+            yield f"Gain by sensor range, cells: {', '.join(said)}."
 
     @property
-    def steps(self) -> list[tuple[Team, Team, Estimate]]:
+    def steps(self) -> list[Step]:
         """Each pair of neighbouring sensor ranges with the gain in coverage, if several ranges were requested."""
         near = [team for team in self.teams if 0 < team.range < inf]
-        return [(one, other, other.ahead(one)) for one, other in pairwise(near)]
+        return [Step(one, other, other.ahead(one)) for one, other in pairwise(near)]
 
     def chart(self) -> Chart:
         """Coverage over the sensor range."""
         near = [team for team in self.teams if not isinf(team.range)]
-        seen = Series.of("by sensor range", [team.range for team in near], [team.coverage for team in near])
+        seen = Series.of("by sensor range", [team.range for team in near], [team.found.coverage for team in near])
         return Chart(
             "Coverage by sensor range", (seen,), "sensor range, cells", "visited, % of the cells",
-            unit="%", at_y=((100 * self.known_map.coverage.mean, "known map"),),
+            unit="%", at_y=((100 * self.known_map.found.coverage.mean, "known map"),),
         )  # fmt: skip
 
 
@@ -218,6 +239,14 @@ BANDS = {
 }
 
 
+@dataclass(frozen=True)
+class Bits:
+    """Mean entropy of the reachable cells, bits a cell, before the mission and at its end."""
+
+    before: float
+    after: float
+
+
 @dataclass(frozen=True, eq=False)
 class Experience(Output):
     """Three teams, and their knowledge at the end.
@@ -236,6 +265,10 @@ class Experience(Output):
     posterior: NDArray[np.float64]
     entropy: NDArray[np.float64]
     ends: int
+    json_keys = """
+        known_hazards learning no_learning price_of_not_knowing=price value_of_learning maps=known_hazards.rollouts
+        learning.rollouts posterior.rollouts=ends posterior.entropy=bits
+    """
 
     @classmethod
     def check(cls, asked: Any, world: World) -> None:
@@ -278,39 +311,20 @@ class Experience(Output):
     @cached_property
     def price(self) -> Estimate:
         """Gain in coverage of known hazards over learning, a fraction of the cells."""
-        return self.known_hazards.ahead(self.learning, "visited", self._unit)
+        return self.known_hazards.covers_more(self.learning)
 
     @cached_property
     def value_of_learning(self) -> Estimate:
         """Gain in coverage of learning over no learning, a fraction of the cells."""
-        return self.learning.ahead(self.no_learning, "visited", self._unit)
+        return self.learning.covers_more(self.no_learning)
 
     @property
-    def bits(self) -> tuple[float, float]:
+    def bits(self) -> Bits:
         """Mean entropy of the reachable cells, bits a cell, before the mission and at its end."""
-        return float(entropy_of(self.prior)[self.reach].mean()), float(self.entropy[self.reach].mean())
-
-    @property
-    def _unit(self) -> float:
-        return 1.0 / self.learning.largest("visited")
-
-    def to_json(self) -> Json:
-        before, after = self.bits
-        return {
-            **{name.replace(" ", "_"): team_json(found) for name, found in self._teams.items()},
-            "price_of_not_knowing": self.price,
-            "value_of_learning": self.value_of_learning,
-            "maps": self.known_hazards.rollouts,
-            "rollouts": self.learning.rollouts,
-            "posterior": {"rollouts": self.ends, "entropy": {"before": before, "after": after}},
-        }
-
-    @property
-    def _teams(self) -> dict[str, Measured]:
-        return {"known hazards": self.known_hazards, "learning": self.learning, "no learning": self.no_learning}
+        return Bits(float(entropy_of(self.prior)[self.reach].mean()), float(self.entropy[self.reach].mean()))
 
     def elements(self) -> Elements:
-        before, after = self.bits
+        bits = self.bits
         runs = counted(self.known_hazards.rollouts, "run")
         leads = [
             against("Without learning", self.no_learning, self.learning),
@@ -319,8 +333,8 @@ class Experience(Output):
         notes = [
             f"value of learning: {counted(self.learning.rollouts, 'rollout')} of each, common random numbers; "
             f"known hazards: the first {self.known_hazards.rollouts:,}, a plan for each",
-            f"uncertainty about hazards: {before:.3f} bits a cell before the mission, {after:.3f} at the end of a run "
-            f"(mean of {self.ends:,})",
+            f"uncertainty about hazards: {bits.before:.3f} bits a cell before the mission, {bits.after:.3f} at the end "
+            f"of a run (mean of {self.ends:,})",
         ]
         files: dict[str, Callable[[], str | bytes]] = {}
         if find_spec("rasterio") is not None:
@@ -329,7 +343,8 @@ class Experience(Output):
             bands = np.stack([self.prior, self.posterior, self.entropy])
             files["posterior.tif"] = lambda: raster(self.world, BANDS, bands)
         layers = {"posterior.png": lambda: self._posterior(), "entropy.png": lambda: self._entropy()}
-        table = team_table("Value of learning about hazards", self._teams)
+        teams = {"known hazards": self.known_hazards, "learning": self.learning, "no learning": self.no_learning}
+        table = team_table("Value of learning about hazards", teams)
         return Elements(leads=leads, tables=[table], notes=notes, layers=layers, files=files)
 
     def _posterior(self) -> CellLayer:

@@ -22,7 +22,6 @@ from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.statistics.estimates import QUANTILES, Estimate, mean_of, robots_text
 from analysis.theory.verdicts import MEANINGS, longest_run
 from analysis.utils.tables import make_table
-from planner.files import Json
 from planner.formatting import TURNS, UNPACED, Pace, counted, percent
 from planner.plan.plan import Drive, Plan, drive_of
 from planner.rollouts.engine import run_ranges
@@ -173,6 +172,10 @@ class Deadline(Output):
     over: bool = False
     tree: Tree | None = None
     late = False
+    json_keys = """
+        steps figures.visited figures.survived delivered?=figures.delivered figures.losses
+        exact.open_loop=known_coverage
+    """
 
     @classmethod
     def measure(cls, asked: int, run: Run) -> Iterator[Self]:
@@ -195,13 +198,10 @@ class Deadline(Output):
             return found.with_tree(self.tree)
         return found if self.losses is None else found.with_means(*self.exact, self.losses)
 
-    def to_json(self) -> Json:
-        return {
-            "steps": self.steps,
-            **self.figures.coverage,
-            "losses": self.figures.losses,
-            "exact": {"open_loop": dict(zip(MEANINGS, self.exact, strict=True))},
-        }
+    @property
+    def known_coverage(self) -> dict[str, float]:
+        """The open loop's expected cells by then, by meaning."""
+        return dict(zip(MEANINGS, self.exact, strict=True))
 
     def elements(self) -> Elements:
         if self.over:
@@ -215,7 +215,7 @@ class Deadline(Output):
             opens=[f"By {self.pace.step(self.steps)}: {reached} visited, {lost} lost on average."],
             rows=[
                 coverage_row(f"{meaning} {by}", getattr(found, meaning), cells, exact)
-                for meaning, exact in zip(MEANINGS, self.exact, strict=True)
+                for meaning, exact in self.known_coverage.items()
             ],
             marks=[(self.steps, "deadline")],
             settings={"deadline": self.pace.step(self.steps)},
@@ -246,6 +246,7 @@ class Turning(Output):
     turns: Estimate
     time: Estimate
     pace: Pace = UNPACED
+    json_keys = "cost=turn rollouts moves quarter_turns=turns time nominal=without_losses"
 
     @classmethod
     def check(cls, asked: object, world: World) -> None:
@@ -275,33 +276,25 @@ class Turning(Output):
             run.world.pace,
         )
 
-    def to_json(self) -> Json:
-        return {
-            "cost": self.turn,
-            "rollouts": self.rollouts,
-            "moves": self.moves,
-            "quarter_turns": self.turns,
-            "time": self.time,
-            "nominal": {
-                "moves": int(self.nominal.moves.sum()),
-                "quarter_turns": int(self.nominal.turns.sum()),
-                "time": self.nominal.time(self.turn),
-            },
-        }
+    @property
+    def without_losses(self) -> dict[str, float]:
+        """Moves, turns and time of the run without losses."""
+        moves, turns = (int(of.sum()) for of in (self.nominal.moves, self.nominal.turns))
+        return {"moves": moves, "quarter_turns": turns, "time": self.nominal.time(self.turn)}
 
     def elements(self) -> Elements:
         """A table with a row for each quantity, and a note."""
-        table = make_table(("", "mean", "95 % interval", "no losses"), "Moves and turns of the robots")
-        nominal, pace, cost = self.nominal, self.pace, counted(float(self.turn), "step")
-        for name, found, known in (
-            ("moves", self.moves, f"{int(nominal.moves.sum()):,}"),
-            ("quarter turns", self.turns, f"{int(nominal.turns.sum()):,}"),
-            ("time with turns, steps", self.time, f"{nominal.time(self.turn):,.1f}"),
-        ):
-            table.add_row(name, *found.columns(), known)
-        if pace:
-            known = f"{pace.minutes * nominal.time(self.turn):,.1f}"
-            table.add_row("time with turns, minutes", *self.time.columns(pace.minutes), known)
+        (moves, turns, time), cost = self.without_losses.values(), counted(float(self.turn), "step")
+        rows = [
+            ("moves", *self.moves.columns(), f"{moves:,}"),
+            ("quarter turns", *self.turns.columns(), f"{turns:,}"),
+            *(
+                (f"time with turns, {unit}", *self.time.columns(scale), f"{scale * time:,.1f}")
+                for unit, scale in {"steps": 1.0, "minutes": self.pace.minutes}.items()
+                if scale
+            ),
+        ]
+        table = make_table(("", "mean", "95 % interval", "no losses"), "Moves and turns of the robots", rows)
         note = (
             f"A quarter turn costs {cost}; the mean is of the first {counted(self.rollouts, 'rollout')}. "
             "Turns lengthen only the time in this table."

@@ -28,7 +28,6 @@ from analysis.theory.upper_bound import MOST_CELLS, trimmed, value_bound
 from analysis.utils.tables import make_table
 from planner.arguments import argument
 from planner.errors import UsageError
-from planner.files import Json
 from planner.formatting import at_least_text, percent
 from planner.rollouts.engine import run_ranges
 from planner.rollouts.exact_tree import Tree
@@ -38,6 +37,23 @@ from planner.tally import Tally
 from planner.world.world import World
 
 # Value covered, found and left, and the measures of every field (SPEC section 13).
+
+
+@dataclass(frozen=True)
+class RouteLeft:
+    """Expected value left on the route, and that of its worst cell.
+
+    If the values are probabilities, the probability that something is left is the `risk`.
+    """
+
+    remaining: float
+    worst: float
+    json_keys = "remaining risk"
+
+    @property
+    def risk(self) -> tuple[float, float]:
+        """Bounds of that probability: the worst cell's, and the sum, at most 1."""
+        return self.worst, min(self.remaining, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +79,12 @@ class Value(Output):
     tally: Tally
     losses: Estimate
     robots_left: list[Estimate]
+    json_keys = """
+        total=cell_values.total covered found left remainder any_strategy=most
+        search.containment=containment search.detection=detection search.success=success
+        clearance.cleared=cleared clearance.remaining=left.mean clearance.route=route_left
+        square_metres per_robot_lost robots_left time_to cvar
+    """
 
     @property
     def left(self) -> Estimate:
@@ -86,55 +108,49 @@ class Value(Output):
         return self.found.mean / self.covered.mean if self.covered.mean > 0 else None
 
     @property
-    def route_left(self) -> tuple[float, float] | None:
-        """Expected value left on the route, and that of its worst cell; None without a route.
+    def containment(self) -> float:
+        """Probability that the object is in a covered cell."""
+        return self.covered.mean * self.scale
 
-        If the values are probabilities, the probability that something is left lies between the second and the first.
-        """
+    @property
+    def success(self) -> float:
+        """Probability that the object is found."""
+        return self.found.mean * self.scale
+
+    @property
+    def cleared(self) -> float:
+        """The share of the value that is found."""
+        return self.found.mean / self.cell_values.total
+
+    @property
+    def route_left(self) -> RouteLeft | None:
+        """The value left on the route; None without a route."""
         if self.world.team.route is None:
             return None
         rows, cols = self.world.team.route.T
         left = self.left_by_cell[np.unique(rows * self.world.shape[1] + cols)]
-        return float(left.sum()), float(left.max())
+        return RouteLeft(float(left.sum()), float(left.max()))
 
     @property
-    def cvar(self) -> float:
+    def cvar(self) -> dict[float, float]:
         """Mean coverage of the worst share TAIL of the runs, a fraction of the accessible cells (CVaR)."""
-        return tail_mean(self.tally.visited) / self.tally.accessible
+        return {TAIL: tail_mean(self.tally.visited) / self.tally.accessible}
 
-    def per_robot_lost(self, amount: float) -> float | None:
-        """`amount` divided by the expected losses; None without losses."""
-        return amount / self.losses.mean if self.losses.mean > 0 else None
+    @property
+    def time_to(self) -> dict[float, int | None]:
+        """The first step by whose end each share of the cells is visited on average; None: never."""
+        return times_to(self.tally)
+
+    @property
+    def per_robot_lost(self) -> dict[str, float | None]:
+        """Area and value covered, divided by the expected losses; None without losses."""
+        amounts, lost = {"square_metres": self.square_metres, "value": self.covered.mean}, self.losses.mean
+        return {name: amount / lost if lost > 0 else None for name, amount in amounts.items()}
 
     @property
     def square_metres(self) -> float:
         """Expected area visited, m2."""
         return float(self.covered_by_cell.sum()) * self.world.cell_size**2
-
-    def to_json(self) -> Json:
-        """The JSON object, without the values by cell."""
-        route = self.route_left
-        per_robot = {"value": self.covered.mean, "square_metres": self.square_metres}
-        return {
-            "total": self.cell_values.total,
-            **{name: getattr(self, name) for name in ("covered", "found", "left", "remainder")},
-            "any_strategy": self.most,
-            "search": {
-                "containment": self.covered.mean * self.scale,
-                "detection": self.detection,
-                "success": self.found.mean * self.scale,
-            },
-            "clearance": {
-                "cleared": self.found.mean / self.cell_values.total,
-                "remaining": self.left.mean,
-                "route": route and {"remaining": route[0], "risk": [route[1], min(route[0], 1.0)]},
-            },
-            "square_metres": self.square_metres,
-            "per_robot_lost": {name: self.per_robot_lost(amount) for name, amount in per_robot.items()},
-            "robots_left": self.robots_left,
-            "time_to": {f"{share:g}": step for share, step in times_to(self.tally).items()},
-            "cvar": {f"{TAIL:g}": self.cvar},
-        }
 
     @classmethod
     def check(cls, asked: bool, world: World) -> None:
@@ -190,8 +206,10 @@ class Value(Output):
             f"visits beyond the {MOST_PASSES}th of a cell find at most {self.remainder:.3g}: the mean includes it, "
             "the lower end of the interval does not"
         )
+        means = self.cell_values.total, self.covered.mean, self.found.mean, self.left.mean
+        lead = "Of {} in all, {} are covered and {} found on average; {} are left.".format(*map(amount, means))
         return Elements(
-            leads=[_sentence(self)], tables=[value_table(self)], notes=[beyond] * (self.remainder > 0),
+            leads=[lead], tables=[value_table(self)], notes=[beyond] * (self.remainder > 0),
             layers={"left.png": self.layer},
         )  # fmt: skip
 
@@ -214,10 +232,8 @@ def amount(value: float) -> str:
 
 def value_table(value: Value) -> Table:
     """Value covered, found and left first, then the other figures."""
-    table = make_table(("", "expected", "95 % interval"), "Value of the cells")
-    for row in (*_value_rows(value), *_other_rows(value)):
-        table.add_row(*row)
-    return table
+    rows = [*_value_rows(value), *_other_rows(value)]
+    return make_table(("", "expected", "95 % interval"), "Value of the cells", rows)
 
 
 def _value_rows(value: Value) -> Iterator[tuple[str, str, str]]:
@@ -231,7 +247,7 @@ def _value_rows(value: Value) -> Iterator[tuple[str, str, str]]:
         low, high = map(amount, estimate.ci95)
         yield name, amount(estimate.mean), "exact" if estimate.half_width == 0 else f"{low} .. {high}"
     if value.route_left is not None:
-        yield "value left on the route", amount(value.route_left[0]), ""
+        yield "value left on the route", amount(value.route_left.remaining), ""
 
 
 def _other_rows(value: Value) -> Iterator[tuple[str, str, str]]:
@@ -239,26 +255,17 @@ def _other_rows(value: Value) -> Iterator[tuple[str, str, str]]:
     if value.most is not None:
         yield "no strategy covers more on average (proven)", amount(value.most), ""
     yield "ground visited, m2", amount(value.square_metres), ""
-    for name, whole in (("m2", value.square_metres), ("value", value.covered.mean)):
-        ratio = value.per_robot_lost(whole)
+    for name, ratio in zip(("m2", "value"), value.per_robot_lost.values(), strict=True):
         yield f"{name} covered per robot lost", "no robot is lost" if ratio is None else amount(ratio), ""
     for least in sorted({1, -(-robots // 2), robots}):
         mean, interval = value.robots_left[least - 1].columns(100, 100)
         yield f"chance that {at_least_text(least, robots)} left", f"{mean} %", in_unit(interval)
-    for share, step in times_to(value.tally).items():
+    for share, step in value.time_to.items():
         when = "never" if step is None else f"{step:,}{value.world.pace.also(step)}"
         yield f"steps to {100 * share:g} % of the cells, on average", when, ""
         if step is None:
             break
-    yield f"coverage in the worst {100 * TAIL:g} % of runs (CVaR)", percent(value.cvar, 2), ""
-
-
-def _sentence(value: Value) -> str:
-    """The answer in one sentence."""
-    return (
-        f"Of {amount(value.cell_values.total)} in all, {amount(value.covered.mean)} are covered and "
-        f"{amount(value.found.mean)} found on average; {amount(value.left.mean)} are left."
-    )
+    yield f"coverage in the worst {100 * TAIL:g} % of runs (CVaR)", percent(value.cvar[TAIL], 2), ""
 
 
 def _left(tree: Tree) -> tuple[Estimate, list[Estimate]]:

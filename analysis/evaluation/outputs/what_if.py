@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators.trial import Sampled, TreeTruth, Trial
-from analysis.evaluation.figures import Elements, Figures, Output, Run, against, team_json, team_table, team_unit
+from analysis.evaluation.figures import Elements, Figures, Output, Run, against, team_table
 from analysis.page.elements import CellLayer, Chart, Series
 from analysis.sampling import make_engine_for, make_roll_out
 from analysis.statistics.estimates import QUANTILES, Estimate
@@ -75,24 +75,15 @@ class Scaled:
     exact: OpenLoopExact
     certain: bool = False
     known: bool = False
+    json_keys = """
+        scale certain figures.coverage figures.complete figures.losses time.mean=figures.time.mean
+        exact.open_loop.visited=exact.visited exact.open_loop.survived=exact.survived
+    """
 
     @cached_property
     def figures(self) -> Figures:
         """Figures of these rollouts."""
         return Figures.of(self.tally, self.certain)
-
-    def to_json(self) -> Json:
-        """The JSON object of the figures."""
-        found = self.figures
-        return {
-            "scale": self.scale,
-            "certain": self.certain,
-            "coverage": found.coverage,
-            "complete": found.complete,
-            "losses": found.losses,
-            "time": {"mean": found.time.mean},
-            "exact": {"open_loop": {"visited": self.exact.visited, "survived": self.exact.survived}},
-        }
 
     @property
     def shown(self) -> Figures:
@@ -132,8 +123,8 @@ class ThreatScale(Output):
             found = cls((*found.scaled, Scaled(scale, tally, exact, certain, known)))
             yield found
 
-    def to_json(self) -> list[Json]:
-        return [scaled.to_json() for scaled in self.scaled]
+    def to_json(self) -> tuple[Scaled, ...]:
+        return self.scaled
 
     def elements(self) -> Elements:
         unit = 1.0 / self.scaled[0].tally.accessible
@@ -214,11 +205,14 @@ TEAM_MOST, FEW = 8192, 1024
 """Most rollouts of each team; and their number if all runs of the evaluated team are equal."""
 
 
-class Other(NamedTuple):
-    """A team with equal robots in one respect, its description, and its figures."""
+@dataclass(frozen=True)
+class Other:
+    """A team with equal robots in one respect: its description, its figures, and the lead of the evaluated team."""
 
     description: str
     found: Sampled
+    ahead: Estimate
+    json_keys = "team=description *found ahead"
 
 
 def alike(plan: Plan) -> dict[str, Settings]:
@@ -242,6 +236,7 @@ class EqualRobots(Output):
 
     team: Sampled
     others: tuple[Other, ...]
+    json_keys = "team.rollouts *team others"
 
     @classmethod
     def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
@@ -254,23 +249,9 @@ class EqualRobots(Output):
         team, others = Trial(world, plan, choices).sample(0, count), []
         for said, settings in teams.items():
             run.doing(f"the same team, {said}")
-            one = allocated_plan(world, plan.starts, settings)
-            others.append(Other(said, Trial(world, one, choices).sample(0, count)))
+            found = Trial(world, allocated_plan(world, plan.starts, settings), choices).sample(0, count)
+            others.append(Other(said, found, team.covers_more(found)))
         yield cls(team, tuple(others))
-
-    def ahead(self, other: Other) -> Estimate:
-        """Mean visited coverage of the team minus the other team's, a fraction of the accessible cells."""
-        return self.team.ahead(other.found, "visited", team_unit(self.team))
-
-    def to_json(self) -> Json:
-        return {
-            "rollouts": self.team.rollouts,
-            **team_json(self.team),
-            "others": [
-                {"team": other.description, **team_json(other.found), "ahead": self.ahead(other)}
-                for other in self.others
-            ],
-        }
 
     def elements(self) -> Elements:
         teams = {"this team": self.team} | {other.description: other.found for other in self.others}
@@ -306,6 +287,10 @@ class MapVariance(Output):
     parts: Components
     of: int | None
     rollouts: int
+    json_keys = """
+        maps of mean_of_means quantiles sd.maps=parts.between.mean sd.luck=parts.within.mean
+        sd_ci95.maps=parts.between.ci95 sd_ci95.luck=parts.within.ci95 rollouts
+    """
 
     @classmethod
     def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
@@ -330,9 +315,14 @@ class MapVariance(Output):
         return self.parts.means
 
     @property
-    def luck(self) -> float:
-        """Standard deviation of single runs on one map."""
-        return self.parts.within.mean
+    def maps(self) -> int:
+        """Number of maps in the sample."""
+        return len(self.means)
+
+    @property
+    def mean_of_means(self) -> float:
+        """The mean over the maps."""
+        return float(self.means.mean())
 
     @property
     def quantiles(self) -> dict[str, float]:
@@ -342,28 +332,16 @@ class MapVariance(Output):
     @property
     def behind(self) -> str:
         """The maps and the sample size, as text."""
-        all_of = "" if self.of == len(self.means) else " drawn" + ("" if self.of is None else f" of {self.of:,}")
+        all_of = "" if self.of == self.maps else " drawn" + ("" if self.of is None else f" of {self.of:,}")
         how = "exact on each" if self.rollouts == 0 else counted(self.rollouts, "rollout")
-        return f"{counted(len(self.means), 'map')}{all_of}, {how}"
-
-    def to_json(self) -> Json:
-        sides = {"maps": self.parts.between, "luck": self.parts.within}
-        return {
-            "maps": len(self.means),
-            "of": self.of,
-            "mean_of_means": float(self.means.mean()),
-            "quantiles": self.quantiles,
-            "sd": {name: side.mean for name, side in sides.items()},
-            "sd_ci95": {name: list(side.ci95) for name, side in sides.items()},
-            "rollouts": self.rollouts,
-        }
+        return f"{counted(self.maps, 'map')}{all_of}, {how}"
 
     def elements(self) -> Elements:
         columns = ("maps", "mean of means", "5 % of maps", "median", "95 % of maps", "sd between maps", "sd on one map")
-        table = make_table(columns, "Mean coverage by map, % visited: deviation between maps and between runs on a map")
-        means = (in_percent(value, 2) for value in (float(self.means.mean()), *self.quantiles.values()))
-        scatter = (f"{100 * value:.2f}" for value in (self.parts.between.mean, self.luck))
-        table.add_row(str(len(self.means)), *means, *scatter)
+        means = (in_percent(value, 2) for value in (self.mean_of_means, *self.quantiles.values()))
+        scatter = (f"{100 * side.mean:.2f}" for side in (self.parts.between, self.parts.within))
+        title = "Mean coverage by map, % visited: deviation between maps and between runs on a map"
+        table = make_table(columns, title, [(str(self.maps), *means, *scatter)])
         note = (
             f"map uncertainty: {self.behind}; standard deviation between maps {_points(self.parts.between)}, "
             f"between runs on one map {_points(self.parts.within)} points"
@@ -373,8 +351,8 @@ class MapVariance(Output):
     def chart(self) -> Chart:
         """Mean coverage over the share of maps with at most that coverage, with the deviation of single runs."""
         low, _, high = map(percent, self.quantiles.values())
-        share, means = 100 * (np.arange(len(self.means)) + 0.5) / len(self.means), self.means
-        lower, upper = (100 * np.clip(means + side * self.luck, 0, 1) for side in (-1, 1))
+        share, means = 100 * (np.arange(self.maps) + 0.5) / self.maps, self.means
+        lower, upper = (100 * np.clip(means + side * self.parts.within.mean, 0, 1) for side in (-1, 1))
         return Chart(
             f"Mean coverage by true map: {low} to {high} (5 % to 95 % of {self.behind})",
             (Series("mean coverage on a map", share, 100 * means, lower, upper),),
