@@ -21,14 +21,8 @@ OCCUPIED, UNKNOWN, FREE = 0, 205, 254
 WALL = 0.2
 """Thickness of a wall in metres."""
 ROOMS: tuple[tuple[float, float, float, float], ...] = (
-    (1, 1, 6, 6),
-    (1, 6, 6, 11),
-    (1, 11, 6, 17),
-    (1, 17, 6, 23),
-    (9, 1, 15, 8),
-    (9, 8, 15, 14),
-    (9, 14, 15, 23),
-)
+    (1, 1, 6, 6), (1, 6, 6, 11), (1, 11, 6, 17), (1, 17, 6, 23), (9, 1, 15, 8), (9, 8, 15, 14), (9, 14, 15, 23),
+)  # fmt: skip
 """(top, left, bottom, right) of every room in metres from the upper-left corner; the corridor lies between them."""
 DOORS: tuple[tuple[float, float], ...] = ((6, 2.5), (6, 8), (6, 13.5), (6, 19.5), (9, 4), (9, 10.5), (9, 18))
 """(wall's distance from the top, left edge) of the doors on the corridor, each 1.5 m wide, in metres."""
@@ -36,18 +30,10 @@ DOOR = 1.5
 PASSAGES: tuple[tuple[float, float], ...] = ((3, 17), (12, 8))
 """(top edge, wall's distance from the left) of the doors between two rooms, 1.5 m high, in metres."""
 FURNITURE: tuple[tuple[float, float, float, float], ...] = (
-    (2.5, 2.5, 3.5, 4.5),
-    (2, 7.5, 2.5, 9.5),
-    (2.5, 13, 4.5, 15),
-    (2, 19, 2.5, 22),
-    (4, 19, 4.5, 22),
-    (11, 2.5, 13, 5),
-    (11, 10, 11.5, 12),
-    (13, 10, 13.5, 12),
-    (10.5, 16, 11, 21),
-    (12, 16, 12.5, 21),
+    (2.5, 2.5, 3.5, 4.5), (2, 7.5, 2.5, 9.5), (2.5, 13, 4.5, 15), (2, 19, 2.5, 22), (4, 19, 4.5, 22),
+    (11, 2.5, 13, 5), (11, 10, 11.5, 12), (13, 10, 13.5, 12), (10.5, 16, 11, 21), (12, 16, 12.5, 21),
     (13.5, 16, 14, 21),
-)
+)  # fmt: skip
 """(top, left, bottom, right) of tables and shelves in metres."""
 
 

@@ -26,13 +26,13 @@ def test_no_input_breaks_a_promise(numbers: range) -> None:
 FILE = Path(__file__).parent / "faults.py"
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "--flips 30 --only ^flips$",
-        pytest.param("--kills 24 --flips 2000 --seed 1 --only ^(?!drive)", marks=pytest.mark.slow),
-    ],
-)
+PROMISES = [
+    "--flips 30 --only ^flips$",
+    pytest.param("--kills 24 --flips 2000 --seed 1 --only ^(?!drive)", marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.parametrize("words", PROMISES)
 def test_no_promise_is_broken(words: str) -> None:
     command, environment = (
         [sys.executable, str(FILE), *words.split()],

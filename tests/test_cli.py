@@ -377,12 +377,8 @@ def test_tampered_plan_files_are_refused(tmp_path: Path, capsys: pytest.CaptureF
     for robot in without_legs["robots"]:
         robot["legs"] = []
     file.write_text(json.dumps(without_legs))
-    assert (
-        answer_of(capsys, "evaluate", world, "--plan", str(file), "--rollouts", "64")["bounds"]["theorem3"]["visited"][
-            "interior_set"
-        ]
-        is not None
-    )
+    bounds = answer_of(capsys, "evaluate", world, "--plan", str(file), "--rollouts", "64")["bounds"]
+    assert bounds["theorem3"]["visited"]["interior_set"] is not None
 
 
 def test_outputs_never_replace_the_input_or_each_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -395,19 +391,19 @@ def test_outputs_never_replace_the_input_or_each_other(tmp_path: Path, capsys: p
     assert world.read_bytes() == before
 
 
-@pytest.mark.parametrize(
-    ("words", "kept"),
-    [
-        ("plan w.npz --state s.json --out s.json", "s.json"),
-        ("plan team-0.yaml --robots 2 --waypoints team.yaml", "team-0.yaml"),
-        ("export w.npz --plan p.json --out p.json --to geojson", "p.json"),
-        ("export rows.yaml --out field.csv", "field.csv"),
-        ("export plan.json --out field.csv", "field.csv"),
-        ("studio team-0.yaml --out w.yaml", "w.npz"),
-        ("starts team-0.yaml --candidates near.csv --scenario-out team-0.yaml", "team-0.yaml"),
-        ("generate w.npz --map team-0.yaml", "w.npz"),
-    ],
-)
+READ_AND_WRITTEN = [
+    ("plan w.npz --state s.json --out s.json", "s.json"),
+    ("plan team-0.yaml --robots 2 --waypoints team.yaml", "team-0.yaml"),
+    ("export w.npz --plan p.json --out p.json --to geojson", "p.json"),
+    ("export rows.yaml --out field.csv", "field.csv"),
+    ("export plan.json --out field.csv", "field.csv"),
+    ("studio team-0.yaml --out w.yaml", "w.npz"),
+    ("starts team-0.yaml --candidates near.csv --scenario-out team-0.yaml", "team-0.yaml"),
+    ("generate w.npz --map team-0.yaml", "w.npz"),
+]
+
+
+@pytest.mark.parametrize(("words", "kept"), READ_AND_WRITTEN)
 def test_no_file_that_is_read_is_written(
     words: str, kept: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -448,17 +444,17 @@ def test_a_folder_keeps_what_was_read_from_it(tmp_path: Path, monkeypatch: pytes
     assert not Path("here/evaluation").exists(), "the same content replaces nothing"
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("plan example:paper --altitude 3", "--altitude without --waypoints"),
-        ("plan p.json --seconds 5", "--seconds 5"),
-        ("threats example:paper", "threats needs --remove or --add"),
-        ("threats example:paper --remove 1 --p 0.3", "--p 0.3 with --remove"),
-        ("threats example:paper --add --unit areas", "--unit areas with --add"),
-        ("inspect p.json --all", "--all without --replay"),
-    ],
-)
+IDLE_OPTIONS = [
+    ("plan example:paper --altitude 3", "--altitude without --waypoints"),
+    ("plan p.json --seconds 5", "--seconds 5"),
+    ("threats example:paper", "threats needs --remove or --add"),
+    ("threats example:paper --remove 1 --p 0.3", "--p 0.3 with --remove"),
+    ("threats example:paper --add --unit areas", "--unit areas with --add"),
+    ("inspect p.json --all", "--all without --replay"),
+]
+
+
+@pytest.mark.parametrize(("words", "said"), IDLE_OPTIONS)
 def test_an_option_that_would_do_nothing_is_refused(
     words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -566,27 +562,23 @@ FEW, TEAM = ["--rollouts", "64"], ["--robots", "3"]
 CLOSED, FRONT = ["evaluate", "map.npz", *TEAM, *FEW], ["--robot-values", "12.5", "--risk-caps", "0.25", *FEW]
 COMMANDS = {
     "evaluate": [*CLOSED, "--threat-scale", "0.5,2", "--deadline", "40", "--theory"],
-    "open loop": [*CLOSED, "--loop", "open", "--theory"],
-    "value": ["evaluate", "valued.yaml", *FEW],
+    "open loop": [*CLOSED, "--loop", "open", "--theory"], "value": ["evaluate", "valued.yaml", *FEW],
     "in doubt": ["evaluate", "doubtful.yaml", *FEW],
     "size": ["size", "map.npz", "--target", "0.9", "--most", "4", *FEW],
     "size of value": ["size", "valued.yaml", "--target", "0.9", "--most", "4", *FEW],
     "front": ["front", "map.npz", *TEAM, *FRONT],
     "front with a goal": ["front", "valued.yaml", "--target", "0.5", *FRONT],
-    "starts": ["starts", "map.npz", *TEAM, *FEW],
-    "starts of value": ["starts", "valued.yaml", "--depot", *FEW],
+    "starts": ["starts", "map.npz", *TEAM, *FEW], "starts of value": ["starts", "valued.yaml", "--depot", *FEW],
     "threats to remove": ["threats", "map.npz", "--remove", "1", *TEAM, *FEW],
     "threats to add": ["threats", "map.npz", "--add", "1", *TEAM, *FEW],
     "threats to add on value": ["threats", "valued.yaml", "--add", "2", "--p", "0.4", *FEW],
     "compare": ["compare", "map.npz", *TEAM, "--b.policy", "per_cell", "--b.robot-value", "12.5", *FEW],
     "check": ["check", "map.npz", *TEAM, *FEW],
     "check of many": ["check", "--worlds", "2", "--robots", "1,2,3,4,12", "--size", "6x6", "--processes", "1", *FEW],
-    "plan": ["plan", "map.npz", *TEAM],
-    "sweep": ["sweep", "sweep.yaml", "--store", "results.db", "--processes", "1"],
-    "results": ["results", "results.db"],
-    "record": ["record", "map.npz", *TEAM, "--out", "run.mcap", "--force"],
+    "plan": ["plan", "map.npz", *TEAM], "sweep": ["sweep", "sweep.yaml", "--store", "results.db", "--processes", "1"],
+    "results": ["results", "results.db"], "record": ["record", "map.npz", *TEAM, "--out", "run.mcap", "--force"],
     "inspect": ["inspect", "run.mcap"],
-}
+}  # fmt: skip
 BEFORE = {"results": "sweep", "inspect": "record"}
 """What makes the file that a command reads."""
 
@@ -758,21 +750,21 @@ def test_input_names_every_format(capsys: pytest.CaptureFixture[str]) -> None:
     assert named == set(FORMATS)
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("evaluate", "evaluate needs an INPUT, e.g. example:paper"),
-        ("record", "record needs an INPUT, e.g. example:paper"),
-        ("compare", "compare needs A, an INPUT, e.g. example:paper"),
-        ("generate", "generate needs OUT"),
-        ("record example:paper --out", "record needs a value after --out"),
-        ("compare example:paper --b.robots", "compare needs a value after --b.robots"),
-        (
-            "evaluate example:paper --deadline 10m",
-            "--deadline '10m'; expected steps, as 450, or a time, as 45min, 1h30min or 90s",
-        ),
-    ],
-)
+NEEDED = [
+    ("evaluate", "evaluate needs an INPUT, e.g. example:paper"),
+    ("record", "record needs an INPUT, e.g. example:paper"),
+    ("compare", "compare needs A, an INPUT, e.g. example:paper"),
+    ("generate", "generate needs OUT"),
+    ("record example:paper --out", "record needs a value after --out"),
+    ("compare example:paper --b.robots", "compare needs a value after --b.robots"),
+    (
+        "evaluate example:paper --deadline 10m",
+        "--deadline '10m'; expected steps, as 450, or a time, as 45min, 1h30min or 90s",
+    ),
+]
+
+
+@pytest.mark.parametrize(("words", "said"), NEEDED)
 def test_what_a_command_needs(words: str, said: str, capfd: pytest.CaptureFixture[str]) -> None:
     assert run(words.split()) == 2
     assert capfd.readouterr().err == f"error: {said}\n"

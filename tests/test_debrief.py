@@ -270,26 +270,26 @@ HERE = f"{ORIGIN[0] + 1},{ORIGIN[1] + 1}"
 LINE = '{"type":"FeatureCollection","features":[{"properties":%s,"geometry":{"type":"LineString","coordinates":%s}}]}'
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "more", "words"),
-    [
-        ("t.csv", f"robot,x,y\n0,{HERE}\n", "", "robot 0 has no times; expected a time for each place"),
-        ("t.csv", f"time,x,y\n0,{HERE}\n", "", "has the columns time, x, y; expected robot, a time or step"),
-        ("t.csv", f"{HEAD}0,noon,{HERE}\n", "", "line 2: time is 'noon'"),
-        ("t.csv", f"{HEAD}0,0,1,1\n", "", "no place of robot 0 is on a free cell"),
-        ("t.csv", f"{HEAD}5,0,{HERE}\n", "--plan p.json", "robot 5 is none of the plan's 2; expected robots 0 to 1"),
-        ("t.csv", f"{HEAD}0,0,{HERE}\n", "--lost 3", "--lost 3; expected robots of t.csv: 0"),
-        ("t.csv", f"robot,time,x,y,status\n0,0,{HERE},gone\n", "", "status 'gone'; expected idle, done, dead or lost"),
-        ("t.gpx", "<gpx><trk><trkpt lon='15' lat='52'/></trk></gpx>", "", "has no times"),
-        ("t.gpx", "<!DOCTYPE a><gpx/>", "", "has a document type"),
-        ("t.geojson", LINE % ('{"times":[0,1]}', "[[500000,0],[500001,0]]"), "", "a point at longitude 500000"),
-        ("t.geojson", LINE % ('{"times":[0]}', "[[15,52],[15,52.1]]"), "", "1 times for 2 places"),
-        ("t.geojson", LINE % ("{}", "[[15,52],[15,52.1]]"), "", "has no times"),
-        ("t.geojson", LINE % ('{"times":[]}', "[]"), "", "holds no track"),
-        ("t.geojson", '{"features":7}', "", "is no GeoJSON of tracks"),
-        ("t.kml", "<kml/>", "", "no tracks are read from '.kml'"),
-    ],
-)  # fmt: skip
+REFUSED = [
+    ("t.csv", f"robot,x,y\n0,{HERE}\n", "", "robot 0 has no times; expected a time for each place"),
+    ("t.csv", f"time,x,y\n0,{HERE}\n", "", "has the columns time, x, y; expected robot, a time or step"),
+    ("t.csv", f"{HEAD}0,noon,{HERE}\n", "", "line 2: time is 'noon'"),
+    ("t.csv", f"{HEAD}0,0,1,1\n", "", "no place of robot 0 is on a free cell"),
+    ("t.csv", f"{HEAD}5,0,{HERE}\n", "--plan p.json", "robot 5 is none of the plan's 2; expected robots 0 to 1"),
+    ("t.csv", f"{HEAD}0,0,{HERE}\n", "--lost 3", "--lost 3; expected robots of t.csv: 0"),
+    ("t.csv", f"robot,time,x,y,status\n0,0,{HERE},gone\n", "", "status 'gone'; expected idle, done, dead or lost"),
+    ("t.gpx", "<gpx><trk><trkpt lon='15' lat='52'/></trk></gpx>", "", "has no times"),
+    ("t.gpx", "<!DOCTYPE a><gpx/>", "", "has a document type"),
+    ("t.geojson", LINE % ('{"times":[0,1]}', "[[500000,0],[500001,0]]"), "", "a point at longitude 500000"),
+    ("t.geojson", LINE % ('{"times":[0]}', "[[15,52],[15,52.1]]"), "", "1 times for 2 places"),
+    ("t.geojson", LINE % ("{}", "[[15,52],[15,52.1]]"), "", "has no times"),
+    ("t.geojson", LINE % ('{"times":[]}', "[]"), "", "holds no track"),
+    ("t.geojson", '{"features":7}', "", "is no GeoJSON of tracks"),
+    ("t.kml", "<kml/>", "", "no tracks are read from '.kml'"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "text", "more", "words"), REFUSED)
 def test_what_is_refused(
     tmp_path: Path, flown: tuple, name: str, text: str, more: str, words: str, capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,

@@ -336,14 +336,14 @@ def test_the_script_makes_what_ships(tmp_path: Path) -> None:
     assert office_floor().shape == (320, 480)
 
 
-@pytest.mark.parametrize(
-    ("name", "shape", "robots", "dangerous", "reachable"),
-    [
-        ("paper.npz", (20, 20), None, 100, 0.9),
-        ("building.yaml", (32, 48), 4, 239, 1.0),
-        ("terrain.yaml", (63, 60), 8, 1229, 0.99),
-    ],
-)
+EXAMPLES = [
+    ("paper.npz", (20, 20), None, 100, 0.9),
+    ("building.yaml", (32, 48), 4, 239, 1.0),
+    ("terrain.yaml", (63, 60), 8, 1229, 0.99),
+]
+
+
+@pytest.mark.parametrize(("name", "shape", "robots", "dangerous", "reachable"), EXAMPLES)
 def test_examples(name: str, shape: tuple[int, int], robots: int | None, dangerous: int, reachable: float) -> None:
     world = load_input(FOLDER / name)
     assert (world.shape, world.team.robots, int((world.threat > 0).sum())) == (shape, robots, dangerous)

@@ -365,30 +365,30 @@ def test_every_answer_is_a_data_frame(tmp_path: Path) -> None:
 WORLD_ARGUMENTS = World.create(np.zeros((2, 3)))
 
 
-@pytest.mark.parametrize(
-    ("choices", "said"),
-    [
-        ({"loop": "both"}, "loop='both'; expected 'closed' or 'open'"),
-        ({"loop": None}, "loop=None; expected 'closed' or 'open'"),
-        ({"loop": "opn"}, "did you mean 'open'?"),
-        ({"loop": ["open"]}, "loop=['open']"),
-        ({"engine": "cuda"}, "engine='cuda'; expected 'auto' or 'jax' or 'numba'"),
-        ({"rollouts": 0}, "rollouts=0; expected a whole number, 1 to 4294967296"),
-        ({"rollouts": 1e6 + 0.5}, "rollouts=1000000.5; expected a whole number"),
-        ({"rollouts": True}, "rollouts=True"),
-        ({"rollouts": "100"}, "rollouts='100'"),
-        ({"precision": 2}, "precision=2; expected a fraction of the accessible cells in (0, 1); did you mean 0.02?"),
-        ({"engine": "Num-ba"}, "did you mean 'numba'?"),
-        ({"precision": "0.1"}, "precision='0.1'"),
-        ({"seed": -1}, "seed=-1; expected a whole number"),
-        ({"deadline": 2.5}, "deadline=2.5; expected steps, as 450, or a time"),
-        (
-            {"deadline": 10**10},
-            "deadline=10000000000; expected steps, as 450, or a time, as 45min, 1h30min or 90s, at most",
-        ),
-        ({"first_only": True, "loop": "open"}, "first_only=True needs the closed loop; use loop='closed'"),
-    ],
-)
+WRONG_CHOICES = [
+    ({"loop": "both"}, "loop='both'; expected 'closed' or 'open'"),
+    ({"loop": None}, "loop=None; expected 'closed' or 'open'"),
+    ({"loop": "opn"}, "did you mean 'open'?"),
+    ({"loop": ["open"]}, "loop=['open']"),
+    ({"engine": "cuda"}, "engine='cuda'; expected 'auto' or 'jax' or 'numba'"),
+    ({"rollouts": 0}, "rollouts=0; expected a whole number, 1 to 4294967296"),
+    ({"rollouts": 1e6 + 0.5}, "rollouts=1000000.5; expected a whole number"),
+    ({"rollouts": True}, "rollouts=True"),
+    ({"rollouts": "100"}, "rollouts='100'"),
+    ({"precision": 2}, "precision=2; expected a fraction of the accessible cells in (0, 1); did you mean 0.02?"),
+    ({"engine": "Num-ba"}, "did you mean 'numba'?"),
+    ({"precision": "0.1"}, "precision='0.1'"),
+    ({"seed": -1}, "seed=-1; expected a whole number"),
+    ({"deadline": 2.5}, "deadline=2.5; expected steps, as 450, or a time"),
+    (
+        {"deadline": 10**10},
+        "deadline=10000000000; expected steps, as 450, or a time, as 45min, 1h30min or 90s, at most",
+    ),
+    ({"first_only": True, "loop": "open"}, "first_only=True needs the closed loop; use loop='closed'"),
+]
+
+
+@pytest.mark.parametrize(("choices", "said"), WRONG_CHOICES)
 def test_choices_of_rollouts_speak_python(choices: dict[str, Any], said: str) -> None:
     with pytest.raises(UsageError) as caught:
         RolloutChoices(**choices)
@@ -396,34 +396,34 @@ def test_choices_of_rollouts_speak_python(choices: dict[str, Any], said: str) ->
     assert "--" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"risk": "brave"}, "risk='brave'; expected 'paper' or 'log'"),
-        ({"levels": 2.5}, "levels is 2.5"),
-        ({"density": "4"}, "density is '4'"),
-    ],
-)
+WRONG_SETTINGS = [
+    ({"risk": "brave"}, "risk='brave'; expected 'paper' or 'log'"),
+    ({"levels": 2.5}, "levels is 2.5"),
+    ({"density": "4"}, "density is '4'"),
+]
+
+
+@pytest.mark.parametrize(("settings", "said"), WRONG_SETTINGS)
 def test_settings_are_checked_before_planning(settings: dict[str, Any], said: str) -> None:
     with pytest.raises(PlanError, match=re.escape(said)):
         make_plan(WORLD_ARGUMENTS, [[0, 0]], Settings(**settings))
 
 
-@pytest.mark.parametrize(
-    ("call", "said"),
-    [
-        (lambda: make_goal(0.9, None, False, "seen"), "metric='seen'"),
-        (lambda: make_goal(2, None, False), "target=2"),
-        (lambda: make_goal(0.5, None, True), "both complete and target"),
-        (lambda: make_survey(0, None, None, (1,), Choices()), "worlds=0"),
-        (lambda: make_survey(1, "patchy", None, (1,), Choices()), "kind='patchy'"),  # type: ignore[arg-type]
-        (lambda: random_world(pattern=ThreatPattern(kind="patchy")), "kind='patchy'"),  # type: ignore[arg-type]
-        (lambda: random_world(pattern=ThreatPattern(seed=1.5)), "seed=1.5"),  # type: ignore[arg-type]
-        (lambda: place_starts(WORLD_ARGUMENTS, 1, "middle"), "start rule 'middle'"),
-        (lambda: load_task(Asked("example:paper", Choices(), 0)), "robots=0"),
-        (lambda: load_task(Asked("example:paper", Choices(risk="brave"))), "risk='brave'"),  # type: ignore[arg-type]
-    ],
-)
+WRONG_CALLS = [
+    (lambda: make_goal(0.9, None, False, "seen"), "metric='seen'"),
+    (lambda: make_goal(2, None, False), "target=2"),
+    (lambda: make_goal(0.5, None, True), "both complete and target"),
+    (lambda: make_survey(0, None, None, (1,), Choices()), "worlds=0"),
+    (lambda: make_survey(1, "patchy", None, (1,), Choices()), "kind='patchy'"),  # type: ignore[arg-type]
+    (lambda: random_world(pattern=ThreatPattern(kind="patchy")), "kind='patchy'"),  # type: ignore[arg-type]
+    (lambda: random_world(pattern=ThreatPattern(seed=1.5)), "seed=1.5"),  # type: ignore[arg-type]
+    (lambda: place_starts(WORLD_ARGUMENTS, 1, "middle"), "start rule 'middle'"),
+    (lambda: load_task(Asked("example:paper", Choices(), 0)), "robots=0"),
+    (lambda: load_task(Asked("example:paper", Choices(risk="brave"))), "risk='brave'"),  # type: ignore[arg-type]
+]
+
+
+@pytest.mark.parametrize(("call", "said"), WRONG_CALLS)
 def test_the_rest_of_the_interface_speaks_python(call: Any, said: str) -> None:
     with pytest.raises((InputError, WorldError)) as caught:
         call()

@@ -34,14 +34,11 @@ from planner.world.world import World
 
 ROW = World.create(np.array([[0.0, 0.0, 0.0, 0.5, 0.0]]))
 ENDINGS: dict[str, tuple[dict[str, Any], str]] = {
-    "complete": ({}, "complete"),
-    "all_robots_lost": ({}, "stopped"),
-    "no_progress": ({"range": 2}, "stuck"),
-    "step_limit": ({"max_steps": 2}, "timeout"),
-    "deadline": ({"deadline": 2}, "timeout"),
+    "complete": ({}, "complete"), "all_robots_lost": ({}, "stopped"), "no_progress": ({"range": 2}, "stuck"),
+    "step_limit": ({"max_steps": 2}, "timeout"), "deadline": ({"deadline": 2}, "timeout"),
     "not_worth_the_risk": ({"policy": "per_cell", "robot_value": 1000.0}, "called_off"),
     "ended_by_operator": ({"return_to": "home"}, "called_off"),
-}
+}  # fmt: skip
 """Settings of missions on ROW by how they end, with the word of release 0.3 for it."""
 
 

@@ -403,13 +403,9 @@ def test_what_cannot_be_is_refused() -> None:
         with pytest.raises(mrac.InputError, match="the environment with radio"):
             mrac.env(apart, 2, **asked)
     odd = {
-        "weibull_shape": 2.0,
-        "hazard_multiplier": (1.0, 3.0),
-        "range": 9,
-        "return_to": "home",
-        "deadline": 12,
+        "weibull_shape": 2.0, "hazard_multiplier": (1.0, 3.0), "range": 9, "return_to": "home", "deadline": 12,
         "plan_for": "open_loop",
-    }
+    }  # fmt: skip
     for name, value in odd.items():
         apart = replace(world(), team=Team(settings={name: value}))
         for asked in ({}, {"actions": "areas"}):

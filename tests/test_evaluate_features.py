@@ -335,14 +335,14 @@ def test_words_and_page(answer: Evaluation, tmp_path: Path) -> None:
     assert "Theorem 3" not in text and "Paths: the plan" not in page
 
 
-@pytest.mark.parametrize(
-    ("world", "sensor_range", "words"),
-    [
-        (TOLD, (1,), "the map is known"),
-        (DARK, (0.5,), "0, or a number of cells from 1 on"),
-        (TOLD.with_prior_map(0.04, sensor_range=2), (0,), "wrong about an obstacle"),
-    ],
-)
+SENSELESS = [
+    (TOLD, (1,), "the map is known"),
+    (DARK, (0.5,), "0, or a number of cells from 1 on"),
+    (TOLD.with_prior_map(0.04, sensor_range=2), (0,), "wrong about an obstacle"),
+]
+
+
+@pytest.mark.parametrize(("world", "sensor_range", "words"), SENSELESS)
 def test_what_cannot_be_sensed_is_said(world: World, sensor_range: tuple[float, ...], words: str) -> None:
     with pytest.raises(InputError, match=words):
         mrac.evaluate(world, sensor_range=sensor_range, rollouts=10)

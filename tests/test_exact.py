@@ -554,9 +554,8 @@ def test_evaluate_says_what_a_tree_knows() -> None:
     robots = said["robots"]
     assert exact["losses"] == pytest.approx([robots - exact["alive"]] * 2, abs=0.001)
     assert set(exact["quantiles"]["visited"]) == {"0.05", "0.5", "0.95"}
-    assert (
-        mrac.evaluate(world, plan, rollouts=64, exact="never", advice=False).to_json()["exact"]["closed_loop"] is None
-    )
+    never = mrac.evaluate(world, plan, rollouts=64, exact="never", advice=False)
+    assert never.to_json()["exact"]["closed_loop"] is None
 
 
 def test_how_long_an_exact_value_is_looked_for() -> None:

@@ -613,19 +613,19 @@ def test_areas_over_a_pole_have_no_longitudes(tmp_path: Path, crs: str, pole: in
         assert latitudes and all(pole * latitude > 89.99 for latitude in latitudes)
 
 
-@pytest.mark.parametrize(
-    ("given", "error", "words"),
-    [
-        ({"out": "a.txt"}, UsageError, r"no format has the suffix '\.txt'; expected \.plan \.yaml"),
-        ({"out": "folder"}, UsageError, "no format has the suffix ''"),
-        ({"out": "a.csv", "to": "qcg"}, UsageError, "did you mean 'qgc'"),
-        ({"out": "a.csv", "to": "kml"}, UsageError, r"ends in '\.csv'; expected \.kml for kml"),
-        ({"out": "a.plan", "altitude": -1.0}, UsageError, "altitude=-1.0"),
-        ({"out": "a.plan", "speed": 0.0}, UsageError, "speed=0.0"),
-        ({"out": "a.plan", "speed": math.nan}, UsageError, "speed=nan"),
-        ({"out": "none/a.csv"}, MapError, "its folder does not exist"),
-    ],
-)
+REFUSED = [
+    ({"out": "a.txt"}, UsageError, r"no format has the suffix '\.txt'; expected \.plan \.yaml"),
+    ({"out": "folder"}, UsageError, "no format has the suffix ''"),
+    ({"out": "a.csv", "to": "qcg"}, UsageError, "did you mean 'qgc'"),
+    ({"out": "a.csv", "to": "kml"}, UsageError, r"ends in '\.csv'; expected \.kml for kml"),
+    ({"out": "a.plan", "altitude": -1.0}, UsageError, "altitude=-1.0"),
+    ({"out": "a.plan", "speed": 0.0}, UsageError, "speed=0.0"),
+    ({"out": "a.plan", "speed": math.nan}, UsageError, "speed=nan"),
+    ({"out": "none/a.csv"}, MapError, "its folder does not exist"),
+]
+
+
+@pytest.mark.parametrize(("given", "error", "words"), REFUSED)
 def test_what_is_refused(tmp_path: Path, given: dict, error: type[InputError], words: str) -> None:
     with pytest.raises(error, match=words):
         mrac.export(a_world(), 1, tmp_path / given.pop("out"), **given)

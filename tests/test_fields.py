@@ -131,25 +131,25 @@ def test_corners_in_a_csv_file_and_a_threat_on_them(tmp_path: Path) -> None:
 NAN = '{"type": "Polygon", "coordinates": [[[0, 0], [NaN, 0], [1, 1]]]}'
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "cell_size", "said"),
-    [
-        ("f.geojson", '{"type": "FeatureCollection", "features": []}', 10, "holds no features"),
-        ("f.geojson", NAN, 10, "wrong coordinates"),
-        ("f.geojson", "", 10, "no JSON"),
-        ("f.geojson", '{"type": "Point", "coordinates": [1, 2]}', 10, "geometry is 'Point'"),
-        ("f.gpx", "<gpx></gpx>", 10, "holds no features"),
-        ("f.kml", "<kml><Placemark/></kml>", 10, "holds no features"),
-        ("f.csv", "x,y\n1,2\n3,4\n", 10, "2 corners"),
-        ("f.csv", "x,y\n" + "1,2\n" * 131_073, 10, "at most 131072"),
-        ("f.csv", "x,y\n1,2\nnan,4\n5,6\n", 10, "line 3: x is 'nan'"),
-        ("f.csv", "a,b,c\n1,2,3\n", 10, "columns x and y, or lon and lat"),
-        ("f.csv", "lon,lat\n8,200\n9,1\n9,2\n", 10, "line 2: latitude stands first, as in 8, 200: 200 is no latitude"),
-        ("f.csv", "lon,lat\n8,20\n12,20\n12,22\n", 10, "a field of at most 3 degrees"),
-        ("f.csv", "0,0\n1e6,0\n1e6,1e6\n", 0.5, "expected at most 67108864; give larger cells"),
-        ("f.csv", "0,0\n4,0\n4,4\n", 10, "no cell of 10 m lies in the field of 4 x 4 m; give smaller cells"),
-    ],
-)
+NO_FIELDS = [
+    ("f.geojson", '{"type": "FeatureCollection", "features": []}', 10, "holds no features"),
+    ("f.geojson", NAN, 10, "wrong coordinates"),
+    ("f.geojson", "", 10, "no JSON"),
+    ("f.geojson", '{"type": "Point", "coordinates": [1, 2]}', 10, "geometry is 'Point'"),
+    ("f.gpx", "<gpx></gpx>", 10, "holds no features"),
+    ("f.kml", "<kml><Placemark/></kml>", 10, "holds no features"),
+    ("f.csv", "x,y\n1,2\n3,4\n", 10, "2 corners"),
+    ("f.csv", "x,y\n" + "1,2\n" * 131_073, 10, "at most 131072"),
+    ("f.csv", "x,y\n1,2\nnan,4\n5,6\n", 10, "line 3: x is 'nan'"),
+    ("f.csv", "a,b,c\n1,2,3\n", 10, "columns x and y, or lon and lat"),
+    ("f.csv", "lon,lat\n8,200\n9,1\n9,2\n", 10, "line 2: latitude stands first, as in 8, 200: 200 is no latitude"),
+    ("f.csv", "lon,lat\n8,20\n12,20\n12,22\n", 10, "a field of at most 3 degrees"),
+    ("f.csv", "0,0\n1e6,0\n1e6,1e6\n", 0.5, "expected at most 67108864; give larger cells"),
+    ("f.csv", "0,0\n4,0\n4,4\n", 10, "no cell of 10 m lies in the field of 4 x 4 m; give smaller cells"),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "cell_size", "said"), NO_FIELDS)
 def test_what_is_no_field(tmp_path: Path, name: str, text: str, cell_size: float, said: str) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError) as caught:
@@ -319,16 +319,16 @@ def test_swaths_are_driven_and_the_field_s_cells_are_counted(tmp_path: Path) -> 
     assert answer.outputs["value"].covered.mean == pytest.approx(covered) and covered < 96
 
 
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        ("map: {polygons: farm.geojson, swath: 2.5}", r"`map.swath` is 2.5 m; expected a whole number of cells of 1 m"),
-        ("map: {polygons: farm.geojson, swath: 0.5}", r"`map.swath` is 0.5 m"),
-        ("map: {polygons: farm.geojson, direction: 200}", r"`map.direction` is 200; expected degrees, -180 to 180"),
-        ("map: {polygons: farm.geojson, swath: 2}\nvalue: 3", r"`value` is 3; expected none for a map with a swath"),
-        ("map: {file: farm.geojson, swath: 2}", "swath"),
-    ],
-)
+WRONG_SWATHS = [
+    ("map: {polygons: farm.geojson, swath: 2.5}", r"`map.swath` is 2.5 m; expected a whole number of cells of 1 m"),
+    ("map: {polygons: farm.geojson, swath: 0.5}", r"`map.swath` is 0.5 m"),
+    ("map: {polygons: farm.geojson, direction: 200}", r"`map.direction` is 200; expected degrees, -180 to 180"),
+    ("map: {polygons: farm.geojson, swath: 2}\nvalue: 3", r"`value` is 3; expected none for a map with a swath"),
+    ("map: {file: farm.geojson, swath: 2}", "swath"),
+]
+
+
+@pytest.mark.parametrize(("line", "said"), WRONG_SWATHS)
 def test_swaths_and_directions_that_are_none(tmp_path: Path, line: str, said: str) -> None:
     square = [[[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0], [0.0, 0.0]]]
     with pytest.raises(InputError, match=said):

@@ -752,12 +752,8 @@ def test_zones_and_what_is_too_wide_for_one(tmp_path: Path) -> None:
     assert utm_zone(12.0, 52.0, 17.9, 53.0) == ("UTM zone 33 north", "EPSG:32633")
     assert utm_zone(-71.0, -34.0, -70.0, -33.0) == ("UTM zone 19 south", "EPSG:32719")
     assert utm_zone(179.9, -1.0, 180.2, 1.5) == ("UTM zone 1 north", "EPSG:32601")
-    assert (
-        utm_zone(8.0, 52.0, 21.5, 53.0)
-        is utm_zone(10.0, 80.0, 11.0, 85.0)
-        is utm_zone(10.0, -85.0, 11.0, -79.0)
-        is None
-    )
+    for far in ((8.0, 52.0, 21.5, 53.0), (10.0, 80.0, 11.0, 85.0), (10.0, -85.0, 11.0, -79.0)):
+        assert utm_zone(*far) is None
     raster = read_raster(degrees(tmp_path / "a.tif", np.zeros((4, 8)), 2.0, 0.0, 50.0))
     assert raster.georeference is not None and raster.georeference.crs == "EPSG:4326"
     assert "degrees: worked on in metres east and north of 42 N 0 E" in raster.notes[-1]
@@ -829,14 +825,14 @@ def test_control_points_across_longitude_180(tmp_path: Path, crs: str, turned: b
     assert load_input(scenario(tmp_path, threats=[{"raster": "p.tif"}])).threat == pytest.approx(0.4)
 
 
-@pytest.mark.parametrize(
-    ("crs", "target", "right", "down"),
-    [
-        ("EPSG:32632", "EPSG:32632", (8.0, 6.0), (6.0, -8.0)),  # turned by 37 degrees
-        ("EPSG:2263", "EPSG:2263", (30.0, -9.0), (-9.0, -30.0)),  # feet
-        ("EPSG:4326", "EPSG:32632", (0.0004, 0.0001), (0.0002, -0.0003)),  # degrees, sheared
-    ],
-)
+CONTROL_POINTS = [
+    ("EPSG:32632", "EPSG:32632", (8.0, 6.0), (6.0, -8.0)),  # turned by 37 degrees
+    ("EPSG:2263", "EPSG:2263", (30.0, -9.0), (-9.0, -30.0)),  # feet
+    ("EPSG:4326", "EPSG:32632", (0.0004, 0.0001), (0.0002, -0.0003)),  # degrees, sheared
+]
+
+
+@pytest.mark.parametrize(("crs", "target", "right", "down"), CONTROL_POINTS)
 def test_control_points_on_no_grid_are_warped_by(
     tmp_path: Path, crs: str, target: str, right: tuple[float, float], down: tuple[float, float]
 ) -> None:

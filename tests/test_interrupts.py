@@ -217,12 +217,12 @@ def test_a_closed_output_is_told_in_one_line() -> None:
     assert done.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("where", "sent", "status"),
-    [
-        ("foreground", signal.SIGINT, 130), ("background", signal.SIGINT, 0), ("background", signal.SIGTERM, 130),
-    ],
-)  # fmt: skip
+SIGNALS = [
+    ("foreground", signal.SIGINT, 130), ("background", signal.SIGINT, 0), ("background", signal.SIGTERM, 130),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("where", "sent", "status"), SIGNALS)
 def test_who_was_told_to_ignore_ctrl_c_does(where: str, sent: signal.Signals, status: int) -> None:
     words = [sys.executable, "-c", command(WAITS), where]
     waiting = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)

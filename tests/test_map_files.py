@@ -151,10 +151,8 @@ def test_greys_of_unknown_ground_that_the_thresholds_make_free_are_counted(tmp_p
 def test_greys_of_unknown_ground_elsewhere(tmp_path: Path) -> None:
     """Of a bare picture, of another program, and as obstacles."""
     Image.fromarray(np.array([[0, 205, 254]], dtype=np.uint8)).save(tmp_path / "bare.pgm")
-    assert (
-        "grey 205, which map_saver writes for unknown ground, is free in 1 pixel;"
-        in load_input(tmp_path / "bare.pgm").notes[0]
-    )
+    note = load_input(tmp_path / "bare.pgm").notes[0]
+    assert "grey 205, which map_saver writes for unknown ground, is free in 1 pixel;" in note
     other = np.array([[0, 128, 128, 255]], dtype=np.uint8)
     notes = load_input(ros(tmp_path, other, free_thresh=0.5)).notes
     assert notes[0].startswith(
@@ -194,22 +192,22 @@ def test_row_0_is_the_top_of_the_picture_and_the_highest_y(tmp_path: Path) -> No
     assert world.to_cells([10.01, -1.99]).tolist() == [2, 0]
 
 
-@pytest.mark.parametrize(
-    ("changes", "names"),
-    [
-        ({"drop": "free_thresh", "occupied_thresh": 0.1}, "from 0 to below occupied_thresh (0.1)"),
-        *(({"drop": name}, f"key `{name}` is missing") for name in ("occupied_thresh", "resolution", "origin")),
-        ({"drop": "image"}, "neither"),
-        ({"drop": "occupied_thresh", "occupied_tresh": 0.65}, "did you mean it by 'occupied_tresh'?"),
-        ({"image": "gone.png"}, "gone.png"),
-        *(({"resolution": n}, "`resolution` is ") for n in (0, -0.05, ".nan", "true", 1e300, "1.0e-320", "1:30")),
-        *(({"origin": at}, "`origin") for at in ("[0, 0]", "[0, .inf, 0]", [1e308, 0, 0], [0, -1e17, 0])),
-        ({"free_thresh": 0.7}, "free_thresh"),
-        ({"occupied_thresh": 1.5}, "occupied_thresh"),
-        ({"mode": "trinery"}, "did you mean 'trinary'"),
-        ({"negate": "perhaps"}, "negate"),
-    ],
-)
+WRONG_KEYS = [
+    ({"drop": "free_thresh", "occupied_thresh": 0.1}, "from 0 to below occupied_thresh (0.1)"),
+    *(({"drop": name}, f"key `{name}` is missing") for name in ("occupied_thresh", "resolution", "origin")),
+    ({"drop": "image"}, "neither"),
+    ({"drop": "occupied_thresh", "occupied_tresh": 0.65}, "did you mean it by 'occupied_tresh'?"),
+    ({"image": "gone.png"}, "gone.png"),
+    *(({"resolution": n}, "`resolution` is ") for n in (0, -0.05, ".nan", "true", 1e300, "1.0e-320", "1:30")),
+    *(({"origin": at}, "`origin") for at in ("[0, 0]", "[0, .inf, 0]", [1e308, 0, 0], [0, -1e17, 0])),
+    ({"free_thresh": 0.7}, "free_thresh"),
+    ({"occupied_thresh": 1.5}, "occupied_thresh"),
+    ({"mode": "trinery"}, "did you mean 'trinary'"),
+    ({"negate": "perhaps"}, "negate"),
+]
+
+
+@pytest.mark.parametrize(("changes", "names"), WRONG_KEYS)
 def test_a_wrong_ros_map_names_the_key(tmp_path: Path, changes: dict, names: str) -> None:
     with pytest.raises(InputError) as caught:
         load_input(ros(tmp_path, **changes))
@@ -274,26 +272,26 @@ def test_many_cells_are_told_with_the_robot_that_they_mean(tmp_path: Path, capsy
     assert load_input(tmp_path / "m.yaml", 0.51).shape == (7, 5)
 
 
-@pytest.mark.parametrize(
-    ("text", "names"),
-    [
-        ("type octile\nheight 3\nwidth 5\nmap\n.....\n.....\n", "2 rows"),
-        ("type octile\nheight 1\nwidth 5\nmap\n.....\n.....\n", "2 rows"),
-        ("type octile\nheight 2\nwidth 5\nmap\n.....\n....\n", "line 6 has 4"),
-        ("type octile\nheight 2\nwidth 5\nmap\n......\n.....\n", "line 5 has 6"),
-        ("type octile\nheight 2\nwidth 0\nmap\n\n\n", "width 0"),
-        ("type octile\nheight -2\nwidth 3\nmap\n...\n...\n", "height -2"),
-        ("type octile\nheight nan\nwidth 3\nmap\n...\n", "nan"),
-        ("type octile\nwidth 3\nmap\n...\n", "no header with height, width"),
-        ("something else\n", "header"),
-        ("", "header"),
-        ("type octile-corner\nheight 1\nwidth 1\nmap\n..\n..\n", "line 1: 'type octile-corner'"),
-        ("\nheight 1000000000\nmap\n", "line 2: 'height 1000000000'; expected one line `height N`"),
-        ("height 999999999\nwidth 3\nmap\n...\n", "bytes claim 999999999 x 3 cells"),
-        ("height " + "9" * 5000 + "\nmap\n", "whole numbers from 1"),
-        ("height 2\nheight 2\nwidth 3\nmap\n...\n...\n", "line 2: 'height 2'; expected one line"),
-    ],
-)
+BROKEN_MAPS = [
+    ("type octile\nheight 3\nwidth 5\nmap\n.....\n.....\n", "2 rows"),
+    ("type octile\nheight 1\nwidth 5\nmap\n.....\n.....\n", "2 rows"),
+    ("type octile\nheight 2\nwidth 5\nmap\n.....\n....\n", "line 6 has 4"),
+    ("type octile\nheight 2\nwidth 5\nmap\n......\n.....\n", "line 5 has 6"),
+    ("type octile\nheight 2\nwidth 0\nmap\n\n\n", "width 0"),
+    ("type octile\nheight -2\nwidth 3\nmap\n...\n...\n", "height -2"),
+    ("type octile\nheight nan\nwidth 3\nmap\n...\n", "nan"),
+    ("type octile\nwidth 3\nmap\n...\n", "no header with height, width"),
+    ("something else\n", "header"),
+    ("", "header"),
+    ("type octile-corner\nheight 1\nwidth 1\nmap\n..\n..\n", "line 1: 'type octile-corner'"),
+    ("\nheight 1000000000\nmap\n", "line 2: 'height 1000000000'; expected one line `height N`"),
+    ("height 999999999\nwidth 3\nmap\n...\n", "bytes claim 999999999 x 3 cells"),
+    ("height " + "9" * 5000 + "\nmap\n", "whole numbers from 1"),
+    ("height 2\nheight 2\nwidth 3\nmap\n...\n...\n", "line 2: 'height 2'; expected one line"),
+]
+
+
+@pytest.mark.parametrize(("text", "names"), BROKEN_MAPS)
 def test_broken_movingai_maps(tmp_path: Path, text: str, names: str) -> None:
     (tmp_path / "a.map").write_text(text)
     with pytest.raises(MapError) as caught:
@@ -339,22 +337,17 @@ def npz(member: bytes) -> bytes:
     return out.getvalue()
 
 
-@pytest.mark.parametrize(
-    ("name", "data"),
-    [
-        ("a.map", b"type octile\nheight 90000\nwidth 90000\nmap\n....\n"),
-        ("a.map", b"type octile\nheight 999999999999\nwidth 9\nmap\n....\n"),
-        ("a.pgm", b"P5 8000 8000 255\n" + bytes(10)),
-        ("a.pgm", b"P5 100000 100000 255\n" + bytes(10)),
-        ("a.ppm", b"P2 8000 8000 255\n1 2 3\n"),
-        ("a.png", huge_png(8000)),
-        ("a.png", huge_png(100000)),
-        ("a.npy", npy_header((8000, 8000)) + bytes(8)),
-        ("a.npy", npy_header((10**9, 10**9)) + bytes(8)),
-        ("a.npz", npz(npy_header((8000, 8000)) + bytes(8))),
-        ("a.npz", npz(npy_header((10**9, 10**9)) + bytes(8))),
-    ],
-)
+HUGE_CLAIMS = [
+    ("a.map", b"type octile\nheight 90000\nwidth 90000\nmap\n....\n"),
+    ("a.map", b"type octile\nheight 999999999999\nwidth 9\nmap\n....\n"),
+    ("a.pgm", b"P5 8000 8000 255\n" + bytes(10)), ("a.pgm", b"P5 100000 100000 255\n" + bytes(10)),
+    ("a.ppm", b"P2 8000 8000 255\n1 2 3\n"), ("a.png", huge_png(8000)), ("a.png", huge_png(100000)),
+    ("a.npy", npy_header((8000, 8000)) + bytes(8)), ("a.npy", npy_header((10**9, 10**9)) + bytes(8)),
+    ("a.npz", npz(npy_header((8000, 8000)) + bytes(8))), ("a.npz", npz(npy_header((10**9, 10**9)) + bytes(8))),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "data"), HUGE_CLAIMS)
 def test_a_tiny_file_that_claims_to_be_huge_takes_no_memory(tmp_path: Path, name: str, data: bytes) -> None:
     path = tmp_path / name
     path.write_bytes(data)
@@ -423,15 +416,15 @@ def test_whole_ratios_pass_in_spite_of_rounding(cell_size: float) -> None:
     assert coarsen(random_grid(14, 23), cell_size).ratio == round(cell_size / 0.05)
 
 
-@pytest.mark.parametrize(
-    ("sizes", "words"),
-    [
-        ((0.12, 0.1501), "pixels of 0.05 m; expected a whole number"),
-        ((1e12, math.inf), "pixels of 0.05 m; expected a whole number"),
-        ((0.03, 1e-9, 0.0499), r"maps are only coarsened; for example cell_size: 0\.05"),
-        ((1.0,), "hold no cell of 1 m"),
-    ],
-)
+WRONG_SIZES = [
+    ((0.12, 0.1501), "pixels of 0.05 m; expected a whole number"),
+    ((1e12, math.inf), "pixels of 0.05 m; expected a whole number"),
+    ((0.03, 1e-9, 0.0499), r"maps are only coarsened; for example cell_size: 0\.05"),
+    ((1.0,), "hold no cell of 1 m"),
+]
+
+
+@pytest.mark.parametrize(("sizes", "words"), WRONG_SIZES)
 def test_sizes_of_cells_that_cannot_be(sizes: tuple[float, ...], words: str) -> None:
     for cell_size in sizes:
         with pytest.raises(MapError, match=words):
@@ -613,9 +606,8 @@ def test_a_topic_of_several_is_chosen_in_a_scenario(tmp_path: Path) -> None:
         world = load_input(scenario)
         assert obstacle(world) == [cell] and not any("is used" in note for note in world.notes)
     scenario.write_text("map: {file: a.mcap, topic: /costmaps}\n")
-    with pytest.raises(
-        MapError, match=r"a\.mcap: holds no map on /costmaps; expected one of /costmap \(.*mean '/costmap'"
-    ):
+    said = r"a\.mcap: holds no map on /costmaps; expected one of /costmap \(.*mean '/costmap'"
+    with pytest.raises(MapError, match=said):
         load_input(scenario)
     np.save(tmp_path / "w.npy", np.zeros((3, 4)))
     scenario.write_text("map: {file: w.npy, topic: /map}\n")
@@ -643,9 +635,8 @@ def test_other_storage_is_named_with_what_to_do(tmp_path: Path) -> None:
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "old_0.db3").write_bytes(b"SQLite format 3")
     for path in (tmp_path / "old", tmp_path / "old" / "old_0.db3"):
-        with pytest.raises(
-            MapError, match=r"not MCAP: old_0\.db3; expected .*; convert it: `ros2 bag convert -i .*old"
-        ):
+        said = r"not MCAP: old_0\.db3; expected .*; convert it: `ros2 bag convert -i .*old"
+        with pytest.raises(MapError, match=said):
             load_input(path)
     (tmp_path / "packed").mkdir()
     (tmp_path / "packed" / "p_0.mcap.zstd").write_bytes(b"x")
@@ -692,9 +683,8 @@ def test_a_cut_log_names_what_saves_its_maps(tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: len(data) // 2])
     for read in (load_input, lambda path: read_state(path, World.create(np.zeros((3, 4))), [[1, 1]]), inspect):
-        with pytest.raises(
-            InputError, match=r"truncated or damaged: .*; try `mrac-jax inspect --repair OUT .*/cut\.mcap`"
-        ):
+        said = r"truncated or damaged: .*; try `mrac-jax inspect --repair OUT .*/cut\.mcap`"
+        with pytest.raises(InputError, match=said):
             read(cut)
     for options in ({}, {"enable_crcs": False}):
         data = timed(tmp_path / "whole.mcap", *messages, chunk_size=2000, **options).read_bytes()
@@ -718,14 +708,10 @@ def test_values_between_the_thresholds_of_a_logged_map_are_counted(tmp_path: Pat
 # Other planners' instances: MAPS, LS-MCPP and DORA-Explorer, as their own readers understand them.
 
 MAPS = {
-    "agents_placement": [[0, 2], [1, 3], [2, 0]],
-    "n_agents": 2,
-    "obstacles_location": [[1, 1], [0, 0]],
-    "threat_location": [[0, 0, 0.3], [2.0, 3.0, 0.25], [1, 2, 1]],
-    "torodial": False,
-    "world_shape": [3, 4],
+    "agents_placement": [[0, 2], [1, 3], [2, 0]], "n_agents": 2, "obstacles_location": [[1, 1], [0, 0]],
+    "threat_location": [[0, 0, 0.3], [2.0, 3.0, 0.25], [1, 2, 1]], "torodial": False, "world_shape": [3, 4],
     "random_placement": False,
-}
+}  # fmt: skip
 MAP = "type octile\nheight 3\nwidth 5\nmap\n.....\n.@@..\n.....\n"
 
 
@@ -760,25 +746,25 @@ def test_a_maps_world_of_several_types(tmp_path: Path) -> None:
     assert load_input(tmp_path / "s.yaml").team.settings == {"types": "1"}
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"world_shape": [3]}, r"`world_shape` is \[3\]; expected \[row, col\]"),
-        ({"world_shape": [0, 4]}, "1 to 67108864 cells"),
-        ({"world_shape": [10**9, 10**9]}, "`world_shape` is|world_shape"),
-        ({"torodial": True}, "torodial"),
-        ({"threat_location": [[0, 1, 1.5]]}, r"`threat_location\[0\]\[2\]` is 1.5"),
-        ({"threat_location": [[0, 1]]}, r"`threat_location\[0\]` is \[0, 1\]; expected \[row, col, p\]"),
-        ({"obstacles_location": [[3, 0]]}, r"`obstacles_location\[0\]\[0\]` is 3; expected \[row, col\], row 0..2"),
-        ({"obstacles_location": [[0.5, 0]]}, r"is \[0.5, 0\]; expected"),
-        ({"n_agents": 0}, "n_agents"),
-        ({"agents_placement": [[1, 1]], "n_agents": 1}, "an obstacle"),
-        ({"types_matrix": [[1.0], [1.0, 2.0]]}, "`types_matrix` is"),
-        ({"types_matrix": [[1.0]]}, r"expected \[row, col, p, type\]"),
-        ({"types_matrix": [[1.0]], "threat_location": [[0, 1, 0.5, 1]]}, r"`threat_location\[0\]\[3\]` is 1"),
-        ({"types_matrix": [[3.0]], "threat_location": [[0, 1, 0.5, 0]]}, "p = 1.5 for a robot of type 0"),
-    ],
-)
+REFUSED_MAPS = [
+    ({"world_shape": [3]}, r"`world_shape` is \[3\]; expected \[row, col\]"),
+    ({"world_shape": [0, 4]}, "1 to 67108864 cells"),
+    ({"world_shape": [10**9, 10**9]}, "`world_shape` is|world_shape"),
+    ({"torodial": True}, "torodial"),
+    ({"threat_location": [[0, 1, 1.5]]}, r"`threat_location\[0\]\[2\]` is 1.5"),
+    ({"threat_location": [[0, 1]]}, r"`threat_location\[0\]` is \[0, 1\]; expected \[row, col, p\]"),
+    ({"obstacles_location": [[3, 0]]}, r"`obstacles_location\[0\]\[0\]` is 3; expected \[row, col\], row 0..2"),
+    ({"obstacles_location": [[0.5, 0]]}, r"is \[0.5, 0\]; expected"),
+    ({"n_agents": 0}, "n_agents"),
+    ({"agents_placement": [[1, 1]], "n_agents": 1}, "an obstacle"),
+    ({"types_matrix": [[1.0], [1.0, 2.0]]}, "`types_matrix` is"),
+    ({"types_matrix": [[1.0]]}, r"expected \[row, col, p, type\]"),
+    ({"types_matrix": [[1.0]], "threat_location": [[0, 1, 0.5, 1]]}, r"`threat_location\[0\]\[3\]` is 1"),
+    ({"types_matrix": [[3.0]], "threat_location": [[0, 1, 0.5, 0]]}, "p = 1.5 for a robot of type 0"),
+]
+
+
+@pytest.mark.parametrize(("changes", "words"), REFUSED_MAPS)
 def test_maps_that_are_refused(tmp_path: Path, changes: dict, words: str) -> None:
     with pytest.raises(InputError, match=words):
         load_input(maps(tmp_path, **changes))

@@ -32,13 +32,9 @@ from planner.world.world import World
 # The mission: luck that answers its orders makes the closed loop; what robots do against orders breaks nothing.
 
 SETTINGS: dict[str, dict[str, Any]] = {
-    "mrac": {},
-    "mrac, range": {"range": 30},
-    "mrac, legs inside": {"transit": "area"},
-    "mrac, deadline": {"deadline": 25},
-    "per_cell": {"policy": "per_cell"},
-    "per_cell, log": {"policy": "per_cell", "risk": "log"},
-    "risk_cap": {"policy": "per_cell", "risk_cap": 0.3},
+    "mrac": {}, "mrac, range": {"range": 30}, "mrac, legs inside": {"transit": "area"},
+    "mrac, deadline": {"deadline": 25}, "per_cell": {"policy": "per_cell"},
+    "per_cell, log": {"policy": "per_cell", "risk": "log"}, "risk_cap": {"policy": "per_cell", "risk_cap": 0.3},
     "robot_value": {"policy": "per_cell", "robot_value": 12.0, "risk_cap": 0.5},
     "per_cell, range": {"policy": "per_cell", "range": (20, 30, 40, 50)},
     "weibull_shape": {"weibull_shape": 2.0, "hazard_multiplier": (1.0, 0.5, 2.0, 1.0)},
@@ -46,7 +42,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "nearest, deadline": {"return_to": "nearest", "deadline": 40, "policy": "per_cell", "robot_value": 15.0},
     "straight on": {"in_area": "boustrophedon"},
     "own rule": {"policy": Rule("by_size", lambda offer: ((offer.level, 1), (-offer.unvisited, 1)))},
-}
+}  # fmt: skip
 
 
 def case(seed: int, **more: Any) -> tuple[World, Plan]:
@@ -252,21 +248,16 @@ def test_a_state_that_says_nothing_of_range_leaves_it_as_it_is_planned(tmp_path:
     assert bare.settings.range == (6, 9)
 
 
-@pytest.mark.parametrize(
-    ("said", "words"),
-    [
-        ({"robot": 2}, "robot 2 reports"),
-        ({"robot": True}, "reports"),
-        ({"robot": 0, "cell": [1, 1]}, r"\[1, 1\], an obstacle"),
-        ({"robot": 0, "cell": [2, 0]}, "off the map"),
-        ({"robot": 0, "cell": [2, 2]}, "off the map"),
-        ({"robot": 0, "cell": [0.5, 0]}, "is at"),
-        ({"robot": 0, "cell": "here"}, "is at"),
-        ({"robot": 0, "cell": [0, 1], "step": 2}, "step 2"),
-        ({"robot": 0, "moves_left": -1}, "moves_left is -1"),
-        ({"robot": 0, "moves_left": 2.5}, "moves_left is 2.5"),
-    ],
-)
+WRONG_REPORTS = [
+    ({"robot": 2}, "robot 2 reports"), ({"robot": True}, "reports"),
+    ({"robot": 0, "cell": [1, 1]}, r"\[1, 1\], an obstacle"), ({"robot": 0, "cell": [2, 0]}, "off the map"),
+    ({"robot": 0, "cell": [2, 2]}, "off the map"), ({"robot": 0, "cell": [0.5, 0]}, "is at"),
+    ({"robot": 0, "cell": "here"}, "is at"), ({"robot": 0, "cell": [0, 1], "step": 2}, "step 2"),
+    ({"robot": 0, "moves_left": -1}, "moves_left is -1"), ({"robot": 0, "moves_left": 2.5}, "moves_left is 2.5"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("said", "words"), WRONG_REPORTS)
 def test_what_cannot_be_is_said_and_changes_nothing(said: dict[str, Any], words: str) -> None:
     mission = of_two()
     before, orders = json.dumps(mission.state.to_json()), mission.orders()
@@ -617,14 +608,13 @@ ONCE_BROKEN = [11355, 11940, 12587, 16106, 16278, 17090, 17138, 17304]
 """Seeds that found faults."""
 
 
-@pytest.mark.parametrize(
-    ("seeds", "others"),
-    [
-        ([0, 1, *ONCE_BROKEN[::7]], range(50, 51)),
-        pytest.param([*range(2, 27), *ONCE_BROKEN[1:7]], range(57, 65), marks=pytest.mark.slow),
-    ],
-    ids=["few", "many"],
-)
+WRONG_FLEETS = [
+    ([0, 1, *ONCE_BROKEN[::7]], range(50, 51)),
+    pytest.param([*range(2, 27), *ONCE_BROKEN[1:7]], range(57, 65), marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.parametrize(("seeds", "others"), WRONG_FLEETS, ids=["few", "many"])
 def test_a_fleet_that_does_all_wrong_breaks_nothing(seeds: list[int], others: range, tmp_path: Path) -> None:
     ends = [fuzz(seed, tmp_path / "now.json").outcome for seed in seeds]
     ends += [fuzz(seed, tmp_path / "now.json", gain=0.2, levels=3, wrecks="block").outcome for seed in others]

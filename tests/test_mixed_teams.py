@@ -201,16 +201,16 @@ def test_a_scenario_says_what_a_threat_is_to_a_type(tmp_path: Path) -> None:
     assert read_plan(tmp_path / "plan.json", again).settings == plan.settings
 
 
-@pytest.mark.parametrize(
-    ("was", "now", "said"),
-    [
-        ("type: mine", "type: mines", "`threats\\[1\\].type` is 'mines'; expected mine or radiation; did you"),
-        ("types: [drone, rover]", "types: [drone, 3]", "`robots.types` is"),
-        ("matrix: {drone: {mine: 0}", "matrix: {drone: {mine: -1}", "`robots.matrix.drone.mine` is -1"),
-        ("matrix: {drone: {mine: 0}", "matrix: {drone: 2", "`robots.matrix.drone`"),
-        ("radiation: 0.5", "radiation: 20", "p = 1.6 for a robot of type rover"),
-    ],
-)
+WRONG_TYPES = [
+    ("type: mine", "type: mines", "`threats\\[1\\].type` is 'mines'; expected mine or radiation; did you"),
+    ("types: [drone, rover]", "types: [drone, 3]", "`robots.types` is"),
+    ("matrix: {drone: {mine: 0}", "matrix: {drone: {mine: -1}", "`robots.matrix.drone.mine` is -1"),
+    ("matrix: {drone: {mine: 0}", "matrix: {drone: 2", "`robots.matrix.drone`"),
+    ("radiation: 0.5", "radiation: 20", "p = 1.6 for a robot of type rover"),
+]
+
+
+@pytest.mark.parametrize(("was", "now", "said"), WRONG_TYPES)
 def test_wrong_types_are_refused_by_their_key(was: str, now: str, said: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=said):
         site(tmp_path, SITE.replace(was, now))
@@ -290,17 +290,13 @@ def test_robots_leave_to_a_type_what_it_covers_for_less() -> None:
 # Robots of several speeds: both ways, equal speeds against one, the tree of all that can happen.
 
 KINDS_SPEEDS: list[dict[str, Any]] = [
-    {},
-    {"policy": "per_cell"},
-    {"policy": "per_cell", "risk_cap": 0.4, "robot_value": 30.0, "range": (40, 20, 60)},
-    {"policy": "watchful", "risk_cap": 0.4},
-    {"policy": "watchful", "types": ("a", "c", "b")},
-    {"range": 30, "deadline": 45},
-    {"return_to": "home", "range": 40, "deadline": 70},
+    {}, {"policy": "per_cell"}, {"policy": "per_cell", "risk_cap": 0.4, "robot_value": 30.0, "range": (40, 20, 60)},
+    {"policy": "watchful", "risk_cap": 0.4}, {"policy": "watchful", "types": ("a", "c", "b")},
+    {"range": 30, "deadline": 45}, {"return_to": "home", "range": 40, "deadline": 70},
     {"return_to": "nearest", "range": (25, 40, 60), "recharge": 7, "deadline": 140, "policy": "per_cell"},
     {"return_to": "home", "policy": "per_cell", "deadline": 60},
     {"transit": "area", "return_to": "nearest", "range": 30, "recharge": 4},
-]
+]  # fmt: skip
 PACES = [(1, 2, 3), (4, 6, 2)]
 
 

@@ -1,7 +1,5 @@
 """Plan files: paths, deadlines, waypoints, settings, times."""
 
-from __future__ import annotations
-
 import copy
 import csv
 import json
@@ -155,15 +153,15 @@ def test_without_nominal_the_end_of_the_run_is_worked_out(tmp_path: Path) -> Non
     assert load_plan(written(tmp_path, data), WORLD).outcome == "step_limit"
 
 
-@pytest.mark.parametrize(
-    ("before", "now"),
-    [
-        ("complete", "complete"),
-        ("stuck", "no_progress"),
-        ("timeout", "step_limit"),
-        ("called_off", "not_worth_the_risk"),
-    ],
-)
+OUTCOMES_OF_0_3 = [
+    ("complete", "complete"),
+    ("stuck", "no_progress"),
+    ("timeout", "step_limit"),
+    ("called_off", "not_worth_the_risk"),
+]
+
+
+@pytest.mark.parametrize(("before", "now"), OUTCOMES_OF_0_3)
 def test_outcomes_of_0_3_are_read_and_written_by_their_names_of_today(tmp_path: Path, before: str, now: str) -> None:
     data = own_plan().to_json()
     data["nominal"]["outcome"] = before
@@ -244,15 +242,15 @@ def test_what_could_not_be_read_back_is_not_written(tmp_path: Path, monkeypatch:
     assert not (tmp_path / "other.json").exists()
 
 
-@pytest.mark.parametrize(
-    ("data", "said"),
-    [
-        ([[0, 0], [0, 1]], "put it in a list: [[[row, col], ...]]"),
-        ([[[0, 0], [0, 9]]], "`[0][1]` is [0, 9], off the map"),
-        ([3, 4], "`[0]` is 3; expected at least the start: [[row, col], ...]"),
-        ([{"path": [[0, 0]]}], "expected at least the start: [[row, col], ...]"),
-    ],
-)
+BARE_LISTS = [
+    ([[0, 0], [0, 1]], "put it in a list: [[[row, col], ...]]"),
+    ([[[0, 0], [0, 9]]], "`[0][1]` is [0, 9], off the map"),
+    ([3, 4], "`[0]` is 3; expected at least the start: [[row, col], ...]"),
+    ([{"path": [[0, 0]]}], "expected at least the start: [[row, col], ...]"),
+]
+
+
+@pytest.mark.parametrize(("data", "said"), BARE_LISTS)
 def test_other_bare_lists_are_refused_with_the_right_hint(tmp_path: Path, data: Any, said: str) -> None:
     assert said in refused(written(tmp_path, data))
 
@@ -265,33 +263,25 @@ def test_json_that_is_no_plan(tmp_path: Path, data: Any) -> None:
 # --- what is refused: paths ---
 
 
-@pytest.mark.parametrize(
-    ("paths", "words"),
-    [
-        ([], ["`paths` is []"]),
-        ({}, ["`paths` is {}"]),
-        (None, ["`paths` is None"]),
-        ([[]], ["[0]`", "[]", "at least the start"]),
-        ([[[0, 0]], []], ["[1]`"]),
-        ([[[0, 0]], "north"], ["[1]`", "'north'"]),
-        ([[[0, 0]], [[0, 3], [0, 4]]], ["[1][1]`", "[0, 4]", "off the map", "col 0..3"]),
-        ([[[0, 0], [-1, 0]]], ["[0][1]`", "[-1, 0]", "off the map", "row 0..1"]),
-        ([[[0, 10**30]]], ["[0][0]`", "off the map"]),
-        ([[[0, 0], [1, 0]]], ["[0][1]`", "[1, 0]", "obstacle"]),
-        ([[[0, 0], [0, 1], [1, 2]]], ["[0]` jumps", "at step 2", "[0, 1]", "[1, 2]"]),
-        ([[[0, 3], [1, 3], [1, 1]]], ["[0]` jumps", "at step 2", "[1, 3]", "[1, 1]"]),
-        ([[[0, 0], [0.0, 1.0]]], ["[0][1]`", "[0.0, 1.0]", "[row, col]"]),
-        ([[[0, 0], [0, True]]], ["[0][1]`", "[0, True]"]),
-        ([[[0, 0], [0, float("nan")]]], ["[0][1]`", "[0, nan]"]),
-        ([[[0, 0], [0, "1"]]], ["[0][1]`", "[0, '1']"]),
-        ([[[0, 0], [0, None]]], ["[0][1]`", "[0, None]"]),
-        ([[[0, 0], [0, 1, 0]]], ["[0][1]`", "[0, 1, 0]"]),
-        ([[[0, 0], 1]], ["[0][1]`", "is 1,"]),
-        ([[[0, 0], [[0, 0], [0, 0]]]], ["[0][1]`"]),
-        ([[[0, 0], {"row": 0, "col": 1}]], ["[0][1]`", "row"]),
-        ([[0, 0]], ["[0][0]`"]),
-    ],
-)
+WRONG_PATHS = [
+    ([], ["`paths` is []"]), ({}, ["`paths` is {}"]), (None, ["`paths` is None"]),
+    ([[]], ["[0]`", "[]", "at least the start"]), ([[[0, 0]], []], ["[1]`"]),
+    ([[[0, 0]], "north"], ["[1]`", "'north'"]),
+    ([[[0, 0]], [[0, 3], [0, 4]]], ["[1][1]`", "[0, 4]", "off the map", "col 0..3"]),
+    ([[[0, 0], [-1, 0]]], ["[0][1]`", "[-1, 0]", "off the map", "row 0..1"]),
+    ([[[0, 10**30]]], ["[0][0]`", "off the map"]), ([[[0, 0], [1, 0]]], ["[0][1]`", "[1, 0]", "obstacle"]),
+    ([[[0, 0], [0, 1], [1, 2]]], ["[0]` jumps", "at step 2", "[0, 1]", "[1, 2]"]),
+    ([[[0, 3], [1, 3], [1, 1]]], ["[0]` jumps", "at step 2", "[1, 3]", "[1, 1]"]),
+    ([[[0, 0], [0.0, 1.0]]], ["[0][1]`", "[0.0, 1.0]", "[row, col]"]),
+    ([[[0, 0], [0, True]]], ["[0][1]`", "[0, True]"]), ([[[0, 0], [0, float("nan")]]], ["[0][1]`", "[0, nan]"]),
+    ([[[0, 0], [0, "1"]]], ["[0][1]`", "[0, '1']"]), ([[[0, 0], [0, None]]], ["[0][1]`", "[0, None]"]),
+    ([[[0, 0], [0, 1, 0]]], ["[0][1]`", "[0, 1, 0]"]), ([[[0, 0], 1]], ["[0][1]`", "is 1,"]),
+    ([[[0, 0], [[0, 0], [0, 0]]]], ["[0][1]`"]), ([[[0, 0], {"row": 0, "col": 1}]], ["[0][1]`", "row"]),
+    ([[0, 0]], ["[0][0]`"]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("paths", "words"), WRONG_PATHS)
 def test_paths_that_cannot_be_driven(tmp_path: Path, paths: Any, words: list[str]) -> None:
     files = [{"paths": paths}]
     if isinstance(paths, list) and paths:
@@ -329,19 +319,15 @@ LEG, AREA, ADDED = ("robots", 1, "legs", 0), ("areas", 1), ("areas_added", 0)
 FAULTS: list[tuple[Callable[[dict[str, Any]], None], list[str]]] = [
     (change("format", to="mrac-plans"), ["'mrac-plans'", '"mrac-plan"']),
     (change("version", to=3), ["`version` is 3", "version 1 to 2", "update"]),
-    (change("version", to=0), ["`version` is 0"]),
-    (change("version", to=True), ["`version` is True"]),
-    (change("version", to="1"), ["`version` is '1'"]),
-    (without("version"), ["`version` is missing"]),
-    (without("world"), ["`world` is missing"]),
-    (change("world", to=[2, 4]), ["`world` is [2, 4]", "keys"]),
+    (change("version", to=0), ["`version` is 0"]), (change("version", to=True), ["`version` is True"]),
+    (change("version", to="1"), ["`version` is '1'"]), (without("version"), ["`version` is missing"]),
+    (without("world"), ["`world` is missing"]), (change("world", to=[2, 4]), ["`world` is [2, 4]", "keys"]),
     (change("world", "shape", to=[4, 2]), ["plan for another map", "[4, 2]", "[2, 4]", "small.npz"]),
     (change("world", "shape", to=[2.0, 4.0, 1]), ["plan for another map"]),
     (change("world", "shape", to="2x4"), ["another map: 2x4 cells"]),
     (change("world", "sha256", to="ab" * 32), ["plan for another map", "abababababab", WORLD.sha256[:12]]),
     (change("world", "sha256", to=None), ["another map", "sha256 None"]),
-    (change("robots", to=[]), ["`robots` is []"]),
-    (change("robots", 1, to=[[0, 3]]), ["robots[1]"]),
+    (change("robots", to=[]), ["`robots` is []"]), (change("robots", 1, to=[[0, 3]]), ["robots[1]"]),
     (without("robots", 1, "path"), ["`robots[1].path` is missing"]),
     (without("robots", 1, "legs"), ["`robots[1].path` has no legs"]),
     (change("robots", 1, "legs", to={}), ["`robots[1].legs` is {}", "a list"]),
@@ -356,8 +342,7 @@ FAULTS: list[tuple[Callable[[dict[str, Any]], None], list[str]]] = [
     (change(*LEG, "start", to=-1), ["legs[0].start` is -1"]),
     (change(*LEG, "start", to=2), ["legs[0].stop` is 2", "after its start, 3 to 3"]),
     (change(*LEG, "start", to=False), ["legs[0].start` is False"]),
-    (without(*LEG, "stop"), ["legs[0].stop` is missing"]),
-    (change("settings", to=[]), ["`settings` is []"]),
+    (without(*LEG, "stop"), ["legs[0].stop` is missing"]), (change("settings", to=[]), ["`settings` is []"]),
     (change("settings", "level", to=3), ["unknown key `settings.level`", "did you mean 'levels'"]),
     (change("settings", "levels", to=0), ["levels` is 0"]),
     (change("settings", "levels", to=2.5), ["levels` is 2.5"]),
@@ -370,10 +355,8 @@ FAULTS: list[tuple[Callable[[dict[str, Any]], None], list[str]]] = [
     (change("settings", "transit", to=["grid"]), ["transit"]),
     (change("settings", "max_steps", to=-1), ["max_steps` is -1"]),
     (change("settings", "max_steps", to=2**22), ["max_steps` is 4194304"]),
-    (change("settings", to=None), ["`areas` is [", "no settings"]),
-    (without("areas"), ["`areas` is missing"]),
-    (without("areas_added"), ["`areas_added` is missing"]),
-    (change(*AREA, to=3), ["`areas[1]` is 3"]),
+    (change("settings", to=None), ["`areas` is [", "no settings"]), (without("areas"), ["`areas` is missing"]),
+    (without("areas_added"), ["`areas_added` is missing"]), (change(*AREA, to=3), ["`areas[1]` is 3"]),
     (change(*AREA, "level", to=-1), ["`areas[1].level` is -1"]),
     (change(*AREA, "level", to=7), ["`areas[1].level` is 7", "0..6"]),
     (change(*AREA, "robot", to=2), ["`areas[1].robot` is 2", "0..1"]),
@@ -395,9 +378,8 @@ FAULTS: list[tuple[Callable[[dict[str, Any]], None], list[str]]] = [
     (change("nominal", "time", to=2), ["`nominal.time` is 2", "the last move or a later one, 3 to"]),
     (change("nominal", "time", to=10**30), ["time"]),
     (change("nominal", "shares", to=-1), ["`nominal.shares` is -1"]),
-    (change("notes", to="one"), ["`notes` is 'one'"]),
-    (change("notes", to=[1]), ["`notes[0]` is 1"]),
-]
+    (change("notes", to="one"), ["`notes` is 'one'"]), (change("notes", to=[1]), ["`notes[0]` is 1"]),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("plant", "words"), FAULTS, ids=[" ".join(words)[:40] for _, words in FAULTS])
@@ -703,10 +685,8 @@ def test_a_command_line_names_options_and_a_file_its_keys() -> None:
         assert told(robot_value=5.0).startswith(
             "--robot-value 5 with --policy mrac; expected --policy per_cell or frontier or watchful;"
         )
-        assert (
-            told(effort=5)
-            == "--effort 5 with --plan-for closed_loop; expected --plan-for open_loop; leave --effort out"
-        )
+        effort = "--effort 5 with --plan-for closed_loop; expected --plan-for open_loop; leave --effort out"
+        assert told(effort=5) == effort
         assert told("plan.json", range=-3).startswith("plan.json: range is -3; expected") and told(
             "plan.json", range=-3
         ).endswith("1 to 4194302, or a list of one a robot, or null")
@@ -829,16 +809,16 @@ def test_a_scenario_says_it(tmp_path: Path) -> None:
         load_input(tmp_path / "m.yaml")
 
 
-@pytest.mark.parametrize(
-    ("lines", "said"),
-    [
-        (("step: {seconds: 0}",), "`step.seconds` is 0; expected seconds, 1e-06 to 1e\\+06"),
-        (("step: 2",), "`step`"),
-        (("step: {seconds: 2}", "speed: 1"), "`speed` is 1; expected none together with step"),
-        (("speed: 1",), "without a cell size in metres.*resolution: 0.5"),
-        (("deadline: 20q",), "`deadline` is '20q'.*or a time, as 45min"),
-    ],
-)
+WRONG_SCENARIOS = [
+    (("step: {seconds: 0}",), "`step.seconds` is 0; expected seconds, 1e-06 to 1e\\+06"),
+    (("step: 2",), "`step`"),
+    (("step: {seconds: 2}", "speed: 1"), "`speed` is 1; expected none together with step"),
+    (("speed: 1",), "without a cell size in metres.*resolution: 0.5"),
+    (("deadline: 20q",), "`deadline` is '20q'.*or a time, as 45min"),
+]
+
+
+@pytest.mark.parametrize(("lines", "said"), WRONG_SCENARIOS)
 def test_a_scenario_that_is_wrong(tmp_path: Path, lines: tuple[str, ...], said: str) -> None:
     with pytest.raises(InputError, match=said):
         load_input(scenario(tmp_path, *lines))
@@ -892,14 +872,14 @@ def test_names_of_0_3_are_read_with_a_warning(tmp_path: Path, capsys: pytest.Cap
     assert "note: --worth is now --robot-value; release 0.5 no longer reads --worth\n" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("settings", "key"),
-    [
-        ({}, "5239310a3d1b307e"), (NEW, "40085361c4841d18"),
-        ({"plan_for": "open_loop", "effort": 9}, "b083ceac958a2ca2"),
-        ({"weibull_shape": 2.0, "hazard_multiplier": (1.0, 3.0)}, "42063f4ad679392e"),
-    ],
-)  # fmt: skip
+IDENTITIES = [
+    ({}, "5239310a3d1b307e"), (NEW, "40085361c4841d18"),
+    ({"plan_for": "open_loop", "effort": 9}, "b083ceac958a2ca2"),
+    ({"weibull_shape": 2.0, "hazard_multiplier": (1.0, 3.0)}, "42063f4ad679392e"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("settings", "key"), IDENTITIES)
 def test_identities_hash_the_names_of_0_3(settings: dict[str, Any], key: str) -> None:
     """Keys of runs as the commit before the new names computed them: stores go on without a new rollout."""
     world = World.create([[0, 0.1, 0], [0.2, 0, 0.3]])

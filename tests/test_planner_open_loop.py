@@ -171,14 +171,14 @@ def test_seconds_end_the_search_and_that_is_said() -> None:
     assert plan.notes[1] == "the search ended before its 1,000,000,000 evaluations: its time limit was reached"
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["evaluate", "--effort", "9"], "--effort 9 with --plan-for closed_loop"),
-        (["plan", "--seconds", "9"], "--seconds 9 is for plans for the open loop"),
-        (["plan", "--plan-for", "both"], "--plan-for 'both'; expected closed_loop or open_loop"),
-    ],
-)
+BAD_INPUT = [
+    (["evaluate", "--effort", "9"], "--effort 9 with --plan-for closed_loop"),
+    (["plan", "--seconds", "9"], "--seconds 9 is for plans for the open loop"),
+    (["plan", "--plan-for", "both"], "--plan-for 'both'; expected closed_loop or open_loop"),
+]
+
+
+@pytest.mark.parametrize(("words", "said"), BAD_INPUT)
 def test_bad_input_is_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert said in error_of(capsys, words[0], "example:paper", *words[1:])
 
@@ -201,10 +201,8 @@ def test_scenarios_name_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     asked = ([str(scenario)], [str(tmp_path / "map.npz"), "--plan-for", "open_loop"])
     told = [answer_of(capsys, "evaluate", *words, "--rollouts", "64", "--effort", "10") for words in asked]
     assert (told[0]["plan_for"], told[0]["loop"]) == ("open_loop", "open") and told[0]["best"] == told[1]["best"]
-    assert (
-        answer_of(capsys, "evaluate", str(scenario), "--plan-for", "closed_loop", "--rollouts", "64")["loop"]
-        == "closed"
-    )
+    closed = answer_of(capsys, "evaluate", str(scenario), "--plan-for", "closed_loop", "--rollouts", "64")
+    assert closed["loop"] == "closed"
     assert run(["size", str(scenario), "--target", "0.5", "--rollouts", "64", "--most", "2", "--json"]) == 0
     capsys.readouterr()
     for command in (["starts", "--rollouts", "64"], ["studio"]):

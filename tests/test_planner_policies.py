@@ -381,20 +381,20 @@ def test_events_say_who_looked_again_and_what_was_refused() -> None:
 LINE = [[0.0, 0.0, 0.1, 0.1, 0.3]]
 
 
-@pytest.mark.parametrize(
-    ("asked", "words"),
-    [
-        ({"risk_cap": 0.25}, "risk_cap is 0.25 with policy mrac; expected policy per_cell"),
-        ({"robot_value": 40.0}, "robot_value is 40 with policy mrac; expected policy per_cell"),
-        ({"policy": "per_cell", "risk_cap": 0.0}, "risk_cap is 0; expected a number above 0, at most 1"),
-        ({"policy": "per_cell", "risk_cap": float("nan")}, "risk_cap is nan"),
-        ({"policy": "per_cell", "robot_value": float("inf")}, "robot_value is inf; expected a number above 0"),
-        ({"policy": "per_cell", "robot_value": float("nan")}, "robot_value is nan"),
-        ({"policy": "percell"}, "did you mean 'per_cell'"),
-        ({"policy": 3}, "policy"),
-        ({"in_area": "spiral"}, "in_area='spiral'; expected 'nearest' or"),
-    ],
-)
+BAD_POLICIES = [
+    ({"risk_cap": 0.25}, "risk_cap is 0.25 with policy mrac; expected policy per_cell"),
+    ({"robot_value": 40.0}, "robot_value is 40 with policy mrac; expected policy per_cell"),
+    ({"policy": "per_cell", "risk_cap": 0.0}, "risk_cap is 0; expected a number above 0, at most 1"),
+    ({"policy": "per_cell", "risk_cap": float("nan")}, "risk_cap is nan"),
+    ({"policy": "per_cell", "robot_value": float("inf")}, "robot_value is inf; expected a number above 0"),
+    ({"policy": "per_cell", "robot_value": float("nan")}, "robot_value is nan"),
+    ({"policy": "percell"}, "did you mean 'per_cell'"),
+    ({"policy": 3}, "policy"),
+    ({"in_area": "spiral"}, "in_area='spiral'; expected 'nearest' or"),
+]
+
+
+@pytest.mark.parametrize(("asked", "words"), BAD_POLICIES)
 def test_bad_policies_are_one_clear_error(asked: dict[str, Any], words: str) -> None:
     with pytest.raises(PlanError, match=words):
         make_plan(World.create(LINE), [[0, 0]], Settings(**asked))

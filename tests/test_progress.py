@@ -408,13 +408,9 @@ def test_searches_pass_every_option_on(monkeypatch: pytest.MonkeyPatch) -> None:
                 "in_area": "rows"}  # fmt: skip
     policy = {"policy": "per_cell", "risk_cap": 0.5, "robot_value": 40.0}
     rolled = {
-        "rollouts": 77,
-        "seed": 5,
-        "deadline": 300,
-        "threat_checks": "every_visit",
-        "engine": "numba",
+        "rollouts": 77, "seed": 5, "deadline": 300, "threat_checks": "every_visit", "engine": "numba",
         "exact": "never",
-    }
+    }  # fmt: skip
     finders = {
         "starts": "start_positions.find_starts",
         "threats": "threats.find_attack",

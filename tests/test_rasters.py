@@ -143,14 +143,14 @@ def test_elevation_and_dose_in_degrees_stay_aligned(tmp_path: Path) -> None:
     assert (threat[north < 60.018] == 0.25).all() and not threat[north > 60.022].any()
 
 
-@pytest.mark.parametrize(
-    ("changes", "names"),
-    [
-        ({"transform": (10, 2, 0, 0, -10, 50)}, "rotated"),
-        ({"transform": (-10, 0, 0, 0, -10, 50)}, "rotated"),
-        ({"transform": (10, 0, 0, 0, -10, 95), "crs": "EPSG:4326"}, "latitudes"),
-    ],
-)
+REFUSED_GROUNDS = [
+    ({"transform": (10, 2, 0, 0, -10, 50)}, "rotated"),
+    ({"transform": (-10, 0, 0, 0, -10, 50)}, "rotated"),
+    ({"transform": (10, 0, 0, 0, -10, 95), "crs": "EPSG:4326"}, "latitudes"),
+]
+
+
+@pytest.mark.parametrize(("changes", "names"), REFUSED_GROUNDS)
 def test_grounds_that_are_refused(tmp_path: Path, changes: dict, names: str) -> None:
     with pytest.raises(MapError, match=names):
         read_raster(tif(tmp_path / "a.tif", VALUES, **changes))
@@ -210,20 +210,20 @@ def ramp(degrees: float, unit: float = 1.0) -> np.ndarray:
     return np.tile(np.arange(6) * 10 * math.tan(math.radians(degrees)) / unit, (4, 1))
 
 
-@pytest.mark.parametrize(
-    ("number", "said", "p"),
-    [
-        (0, {"scale": 0.01, "offset": 0.05}, 0.05),
-        (51, {"scale": 1 / 255}, 0.2),
-        (7, {"units": "%"}, 0.07),
-        (70, {"units": "Percent", "scale": 0.1}, 0.07),
-        (20, {"units": "\u2030"}, 0.02),
-        (20, {"units": "0.001"}, 0.02),
-        (7, {"tags": {"units": "percent"}}, 0.07),
-        (0, {"units": "probability", "offset": 0.25}, 0.25),
-        (0.25, {"crs": "EPSG:32632+6360"}, 0.25),  # the unit of heights, which GDAL takes for the band's
-    ],
-)
+SCALED = [
+    (0, {"scale": 0.01, "offset": 0.05}, 0.05),
+    (51, {"scale": 1 / 255}, 0.2),
+    (7, {"units": "%"}, 0.07),
+    (70, {"units": "Percent", "scale": 0.1}, 0.07),
+    (20, {"units": "\u2030"}, 0.02),
+    (20, {"units": "0.001"}, 0.02),
+    (7, {"tags": {"units": "percent"}}, 0.07),
+    (0, {"units": "probability", "offset": 0.25}, 0.25),
+    (0.25, {"crs": "EPSG:32632+6360"}, 0.25),  # the unit of heights, which GDAL takes for the band's
+]
+
+
+@pytest.mark.parametrize(("number", "said", "p"), SCALED)
 def test_a_map_of_probabilities_is_what_its_file_says(tmp_path: Path, number: float, said: dict, p: float) -> None:
     """Scale, offset and unit: read everywhere where chances are."""
     dtype = np.uint8 if isinstance(number, int) else np.float32
@@ -288,22 +288,22 @@ def test_packed_numbers_that_only_the_metadata_tell_of(tmp_path: Path) -> None:
         load_input(says(tmp_path / "p.tif", np.ones((4, 6), dtype=np.uint8), scale=0.0))
 
 
-@pytest.mark.parametrize(
-    ("said", "unit", "dtype"),
-    [
-        ({"scale": 0.1}, 0.1, np.int16),
-        ({"scale": 0.01, "offset": -100}, 0.01, np.int32),
-        ({"units": "US survey foot"}, US_FOOT, np.float32),
-        ({"units": "ft"}, 0.3048, np.float32),
-        ({"units": "feet", "scale": 0.5}, 0.1524, np.int16),
-        ({"units": "cm"}, 0.01, np.int32),
-        ({"units": "m a.s.l."}, 1.0, np.float32),
-        ({"crs": "EPSG:32632+6360"}, US_FOOT, np.float32),
-        ({"crs": "EPSG:32632+8228"}, 0.3048, np.float32),
-        ({"crs": "EPSG:32632+5703"}, 1.0, np.float32),
-        ({"crs": "EPSG:32632+5715"}, -1.0, np.float32),  # depths
-    ],
-)
+HEIGHTS = [
+    ({"scale": 0.1}, 0.1, np.int16),
+    ({"scale": 0.01, "offset": -100}, 0.01, np.int32),
+    ({"units": "US survey foot"}, US_FOOT, np.float32),
+    ({"units": "ft"}, 0.3048, np.float32),
+    ({"units": "feet", "scale": 0.5}, 0.1524, np.int16),
+    ({"units": "cm"}, 0.01, np.int32),
+    ({"units": "m a.s.l."}, 1.0, np.float32),
+    ({"crs": "EPSG:32632+6360"}, US_FOOT, np.float32),
+    ({"crs": "EPSG:32632+8228"}, 0.3048, np.float32),
+    ({"crs": "EPSG:32632+5703"}, 1.0, np.float32),
+    ({"crs": "EPSG:32632+5715"}, -1.0, np.float32),  # depths
+]
+
+
+@pytest.mark.parametrize(("said", "unit", "dtype"), HEIGHTS)
 def test_heights_are_metres_before_slopes_are_taken(tmp_path: Path, said: dict, unit: float, dtype: type) -> None:
     offset = said.get("offset", 0.0)
     for degrees, free in ((20, 24), (45, 0)):
@@ -329,17 +329,17 @@ def test_units_of_heights_that_contradict_each_other_or_are_presumed(tmp_path: P
     assert any("CRS is in US survey foot" in note for note in read_elevation(tmp_path / "dem.tif").notes)
 
 
-@pytest.mark.parametrize(
-    ("tags", "description", "unit"),
-    [
-        ({}, "Elevation (feet)", 0.3048),
-        ({}, "Height [US survey foot]", US_FOOT),
-        ({}, "DEM (m)", 1.0),
-        ({}, "Elevation (NAVD88)", 1.0),
-        ({"VERTICAL_UNITS": "feet"}, "", 0.3048),
-        ({"VERTICAL_UNITS": "centimeters"}, "Heights", 0.01),
-    ],
-)
+UNITS = [
+    ({}, "Elevation (feet)", 0.3048),
+    ({}, "Height [US survey foot]", US_FOOT),
+    ({}, "DEM (m)", 1.0),
+    ({}, "Elevation (NAVD88)", 1.0),
+    ({"VERTICAL_UNITS": "feet"}, "", 0.3048),
+    ({"VERTICAL_UNITS": "centimeters"}, "Heights", 0.01),
+]
+
+
+@pytest.mark.parametrize(("tags", "description", "unit"), UNITS)
 def test_units_of_heights_in_words(tmp_path: Path, tags: dict, description: str, unit: float) -> None:
     says(tmp_path / "dem.tif", ramp(20), tags=tags, description=description)
     assert read_elevation(tmp_path / "dem.tif").values == pytest.approx(ramp(20) * unit)
@@ -371,25 +371,25 @@ def test_units_of_heights_in_an_old_prj(tmp_path: Path, zunits: str, unit: float
     assert read_elevation(tmp_path / "dem.asc").values[0] == pytest.approx(np.array([0, 5, 9]) * unit)
 
 
-@pytest.mark.parametrize(
-    ("void", "dtype", "said"),
-    [
-        (-9999, np.float32, {}),
-        (-9999.9, np.float32, {}),
-        (-32768, np.int16, {}),
-        (32767, np.int16, {"scale": 0.1}),
-        (-9999, np.int16, {"scale": 0.1}),
-        (-9999 / 0.3048, np.float32, {"units": "ft"}),
-        (-3.4028234663852886e38, np.float32, {}),
-        (-1.7976931348623157e308, np.float64, {}),
-        (-10_000, np.int16, {}),
-        (30_000, np.float32, {"units": "ft"}),  # 9,144 m
-        (9_001, np.float32, {}),
-        (-12_001, np.float32, {}),
-        (np.inf, np.float32, {}),
-        (4242, np.float32, {"tags": {"_FillValue": "4242"}}),
-    ],
-)
+VOIDS = [
+    (-9999, np.float32, {}),
+    (-9999.9, np.float32, {}),
+    (-32768, np.int16, {}),
+    (32767, np.int16, {"scale": 0.1}),
+    (-9999, np.int16, {"scale": 0.1}),
+    (-9999 / 0.3048, np.float32, {"units": "ft"}),
+    (-3.4028234663852886e38, np.float32, {}),
+    (-1.7976931348623157e308, np.float64, {}),
+    (-10_000, np.int16, {}),
+    (30_000, np.float32, {"units": "ft"}),  # 9,144 m
+    (9_001, np.float32, {}),
+    (-12_001, np.float32, {}),
+    (np.inf, np.float32, {}),
+    (4242, np.float32, {"tags": {"_FillValue": "4242"}}),
+]
+
+
+@pytest.mark.parametrize(("void", "dtype", "said"), VOIDS)
 def test_voids_that_no_file_declares_are_no_ground(tmp_path: Path, void: float, dtype: type, said: dict) -> None:
     heights = np.zeros((4, 6), dtype=dtype)
     heights[1:3, 2:5] = void
@@ -434,16 +434,16 @@ def test_voids_of_arrays(tmp_path: Path) -> None:
     assert any("4 pixels of -9999" in note and "write nan there" in note for note in world.notes)
 
 
-@pytest.mark.parametrize(
-    ("void", "dtype"),
-    [
-        (-9999, np.float32),
-        (-32768, np.int16),
-        (1e20, np.float64),
-        (-1.7976931348623157e308, np.float64),
-        (255, np.uint8),
-    ],
-)
+VOIDS_OF_P = [
+    (-9999, np.float32),
+    (-32768, np.int16),
+    (1e20, np.float64),
+    (-1.7976931348623157e308, np.float64),
+    (255, np.uint8),
+]
+
+
+@pytest.mark.parametrize(("void", "dtype"), VOIDS_OF_P)
 def test_voids_of_probabilities_are_unknown(tmp_path: Path, void: float, dtype: type) -> None:
     """As a map they are obstacles; under a free cell of another map they are an error that counts them."""
     p = np.zeros((4, 6), dtype=dtype)
@@ -454,9 +454,8 @@ def test_voids_of_probabilities_are_unknown(tmp_path: Path, void: float, dtype: 
     rules = ({}, {"rule": {"kind": "classes", "edges": [0.5], "p": [0.1, 0.2]}})
     for rule in rules[: 1 if dtype is np.uint8 else 2]:  # 255 may be a class
         path = scenario(tmp_path, map=bare(tmp_path), threats=[{"raster": "p.tif"} | rule])
-        with pytest.raises(
-            ScenarioError, match=r"p\.tif, which is nan \(no data\) at \[0, 0\] \(2 such cells\) \(2 pixels"
-        ):
+        said = r"p\.tif, which is nan \(no data\) at \[0, 0\] \(2 such cells\) \(2 pixels"
+        with pytest.raises(ScenarioError, match=said):
             load_input(path)
 
 
@@ -604,34 +603,34 @@ def test_columns_by_name(tmp_path: Path) -> None:
 HEADER = "x_m,y_m,counts,rate_cps\n"
 
 
-@pytest.mark.parametrize(
-    ("text", "source", "said"),
-    [
-        (HEADER + "1,1,2,3\n", {"strength": None}, "expected x, y and strength; name it in the scenario: "
-         "`strength: counts | rate_cps`"),
-        (HEADER + "1,1,2,3\n", {"strength": "rate"}, "expected 'rate' among them (strength)"),
-        (HEADER + "1,1,2,3\n", {"strength": "rate_cp"}, "did you mean 'rate_cps'?"),
-        (HEADER + "1,1,2,3\n", {"strength": 3}, "the name of a column"),
-        ("1,1,3\n", {}, "has no header"),
-        (HEADER, {}, "has a header and no points"),
-        ("", {}, "is empty"),
-        (HEADER + "1,1,2,\n", {}, "line 2: strength is ''"),
-        (HEADER + "1,1,2,nan\n", {}, "line 2: strength is 'nan'"),
-        (HEADER + "1,1,2,-3\n", {}, "values must not be negative"),
-        (HEADER + "1,1,2,3\n", {"rule": None}, "gives p = 3"),
-        (HEADER + "600000,1,2,3\n", {}, "and the map is 30 x 20 m from (0, 0)"),
-        (HEADER + "11.57549,48.13743,2,3\n", {}, "reproject it into metres of the map's frame"),
-        ("lon,lat,rate_cps\n11.5,48.1,3\n", {}, "expected x, y in metres"),
-        (HEADER + "1,1,2,3\n" * 131_073, {}, "at most 131072 points"),
-        (HEADER + "".join(f"{n % 64}.5,{n // 64}.5,2,3\n" for n in range(2100)), {}, "up to 2048"),
-        (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "spline"}}, "expected idw or kriging"),
-        (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "idw", "nugget": 3}}, "`threats[0].interpolate.nugget`"),
-        (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "idw", "power": -1}}, "a number above 0"),
-        (HEADER + "1,1,2,3\n", {"falloff": {"kind": "disc", "radius": 2}}, "none with interpolate"),
-        (HEADER + "1,1,2,.3\n", {"interpolate": None, "falloff": {"kind": "disc", "radius": 2}}, "none with falloff"),
-        (HEADER + "1,1,2,3\n", {"interpolate": None}, "interpolate: {kind: idw | kriging}"),
-    ],
-)  # fmt: skip
+NO_SURVEYS = [
+    (HEADER + "1,1,2,3\n", {"strength": None}, "expected x, y and strength; name it in the scenario: "
+     "`strength: counts | rate_cps`"),
+    (HEADER + "1,1,2,3\n", {"strength": "rate"}, "expected 'rate' among them (strength)"),
+    (HEADER + "1,1,2,3\n", {"strength": "rate_cp"}, "did you mean 'rate_cps'?"),
+    (HEADER + "1,1,2,3\n", {"strength": 3}, "the name of a column"),
+    ("1,1,3\n", {}, "has no header"),
+    (HEADER, {}, "has a header and no points"),
+    ("", {}, "is empty"),
+    (HEADER + "1,1,2,\n", {}, "line 2: strength is ''"),
+    (HEADER + "1,1,2,nan\n", {}, "line 2: strength is 'nan'"),
+    (HEADER + "1,1,2,-3\n", {}, "values must not be negative"),
+    (HEADER + "1,1,2,3\n", {"rule": None}, "gives p = 3"),
+    (HEADER + "600000,1,2,3\n", {}, "and the map is 30 x 20 m from (0, 0)"),
+    (HEADER + "11.57549,48.13743,2,3\n", {}, "reproject it into metres of the map's frame"),
+    ("lon,lat,rate_cps\n11.5,48.1,3\n", {}, "expected x, y in metres"),
+    (HEADER + "1,1,2,3\n" * 131_073, {}, "at most 131072 points"),
+    (HEADER + "".join(f"{n % 64}.5,{n // 64}.5,2,3\n" for n in range(2100)), {}, "up to 2048"),
+    (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "spline"}}, "expected idw or kriging"),
+    (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "idw", "nugget": 3}}, "`threats[0].interpolate.nugget`"),
+    (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "idw", "power": -1}}, "a number above 0"),
+    (HEADER + "1,1,2,3\n", {"falloff": {"kind": "disc", "radius": 2}}, "none with interpolate"),
+    (HEADER + "1,1,2,.3\n", {"interpolate": None, "falloff": {"kind": "disc", "radius": 2}}, "none with falloff"),
+    (HEADER + "1,1,2,3\n", {"interpolate": None}, "interpolate: {kind: idw | kriging}"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "source", "said"), NO_SURVEYS)
 def test_what_is_no_survey(tmp_path: Path, text: str, source: dict[str, Any], said: str) -> None:
     (tmp_path / "survey.csv").write_text(text)
     with pytest.raises(InputError) as caught:

@@ -44,18 +44,18 @@ def inspected(capsys: pytest.CaptureFixture[str], *words: str, status: int = 0) 
 TYPED = "threats: [{raster: p.npy, type: x}]\nrobots: {count: 2, matrix: {a: {x: 0.1}, b: {x: 2}}, types: [a, b]}"
 
 
-@pytest.mark.parametrize(
-    ("keys", "said"),
-    [
-        ("robots: {count: 2}", {"threat 10 %"}),
-        ("robots: {count: 2, hazard_multiplier: [1, 2]}", {"threat 10 %", "threat 19 %"}),
-        (TYPED, {"threat 1 %", "threat 20 %"}),
-        (
-            "moving_threats: [{walk: 0.5, h: 0.3, count: 4}]\nrobots: {count: 2}",
-            {"threat 10 %, or a moving threat", "by a moving threat"},
-        ),
-    ],
-)
+STOPPED_BY = [
+    ("robots: {count: 2}", {"threat 10 %"}),
+    ("robots: {count: 2, hazard_multiplier: [1, 2]}", {"threat 10 %", "threat 19 %"}),
+    (TYPED, {"threat 1 %", "threat 20 %"}),
+    (
+        "moving_threats: [{walk: 0.5, h: 0.3, count: 4}]\nrobots: {count: 2}",
+        {"threat 10 %, or a moving threat", "by a moving threat"},
+    ),
+]
+
+
+@pytest.mark.parametrize(("keys", "said"), STOPPED_BY)
 def test_what_is_said_to_stop_a_robot_is_what_does(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, keys: str, said: set[str]
 ) -> None:
@@ -182,31 +182,25 @@ def test_pictures_go_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert animation.read_bytes().startswith(b"GIF8")
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--out", "run.txt"), "run.txt does not end in .mcap"),
-        (("--out", "no-such-folder/run.mcap"), "no-such-folder"),
-        (("--out", "."), ". does not end in .mcap"),
-        (("--out", ""), "--out ''"),
-        (("--out", ".mcap"), ".mcap has no name before .mcap"),
-        (("--out", "a.mcap", "--pick", ""), "--pick ''"),
-        (("--out", "a.mcap", "--ids", "18446744073709551616"), "ids below 2**32"),
-        (("--out", "a.mcap", "--step-seconds", "nan"), "--step-seconds 'nan'"),
-        (("--out", "a.mcap", "--picture", "a.jpg"), "does not end in .png"),
-        (("--out", "a.mcap", "--animation", "a.mp4"), "does not end in .gif"),
-        (("--out", "a.mcap", "--ids", "1", "--pick", "best"), "both --ids and --pick"),
-        (("--out", "a.mcap", "--ids", "x"), "--ids 'x'"),
-        (("--out", "a.mcap", "--pick", "middle"), "--pick 'middle'"),
-        (("--out", "a.mcap", "--rollouts", "0"), "--rollouts 0"),
-        (("--out", "a.mcap", "--seed", "-1"), "--seed -1"),
-        (("--out", "a.mcap", "--step-seconds", "0"), "--step-seconds 0; expected seconds, 1e-06 to 1e+06"),
-        (("--out", "a.mcap", "--step-seconds", "501"), "--step-seconds 501; expected seconds, 1e-06 to 500"),
-        (("--out", "a.mcap", "--loop", "open", "--threat-checks", "first_visit"), "first_visit needs the closed loop"),
-        (("--out", "a.mcap", "--robots", "0"), "--robots 0"),
-        (("--ids", "1"), "out"),
-    ],
-)
+WRONG_OPTIONS = [
+    (("--out", "run.txt"), "run.txt does not end in .mcap"), (("--out", "no-such-folder/run.mcap"), "no-such-folder"),
+    (("--out", "."), ". does not end in .mcap"), (("--out", ""), "--out ''"),
+    (("--out", ".mcap"), ".mcap has no name before .mcap"), (("--out", "a.mcap", "--pick", ""), "--pick ''"),
+    (("--out", "a.mcap", "--ids", "18446744073709551616"), "ids below 2**32"),
+    (("--out", "a.mcap", "--step-seconds", "nan"), "--step-seconds 'nan'"),
+    (("--out", "a.mcap", "--picture", "a.jpg"), "does not end in .png"),
+    (("--out", "a.mcap", "--animation", "a.mp4"), "does not end in .gif"),
+    (("--out", "a.mcap", "--ids", "1", "--pick", "best"), "both --ids and --pick"),
+    (("--out", "a.mcap", "--ids", "x"), "--ids 'x'"), (("--out", "a.mcap", "--pick", "middle"), "--pick 'middle'"),
+    (("--out", "a.mcap", "--rollouts", "0"), "--rollouts 0"), (("--out", "a.mcap", "--seed", "-1"), "--seed -1"),
+    (("--out", "a.mcap", "--step-seconds", "0"), "--step-seconds 0; expected seconds, 1e-06 to 1e+06"),
+    (("--out", "a.mcap", "--step-seconds", "501"), "--step-seconds 501; expected seconds, 1e-06 to 500"),
+    (("--out", "a.mcap", "--loop", "open", "--threat-checks", "first_visit"), "first_visit needs the closed loop"),
+    (("--out", "a.mcap", "--robots", "0"), "--robots 0"), (("--ids", "1"), "out"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("words", "said"), WRONG_OPTIONS)
 def test_wrong_options_are_one_line_and_leave_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: tuple, said: str
 ) -> None:
@@ -373,8 +367,6 @@ def test_a_file_left_by_a_killed_run_is_not_lost(tmp_path: Path, capsys: pytest.
     left = tmp_path / "run.mcap.partial"
     left.write_bytes(b"precious")
     said = refused(capsys, "record", WORLD, "--ids", "0", "--out", str(tmp_path / "run.mcap"))
-    assert (
-        f"{left} is left from an earlier run; recover it with `mrac-jax inspect --repair OUT {left}` or remove it"
-        in said
-    )
+    fix = f"recover it with `mrac-jax inspect --repair OUT {left}` or remove it"
+    assert f"{left} is left from an earlier run; {fix}" in said
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [(left.name, b"precious")]

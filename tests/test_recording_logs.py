@@ -407,17 +407,17 @@ def test_without_checksums_still_only_clear_errors(
     assert set(saved(path) or []) <= set(full)
 
 
-@pytest.mark.parametrize(
-    ("chunk", "problem"),
-    [
-        (chunk_of(SAYS), "no channel record found with id 1"),
-        (chunk_of(CHANNEL, SAYS), "no schema record found with id 1"),
-        (chunk_of(SCHEMA, CHANNEL, SAYS, compression="\x1b[2J", data=b"no"), "crc validation failed"),
-        (chunk_of(SCHEMA, CHANNEL, SAYS, data=b"no"), "frame header"),
-        (chunk_of(SCHEMA, CHANNEL, SAYS, uncompressed_crc=1), "crc validation failed"),
-        (chunk_of(SCHEMA, CHANNEL, SAYS, compression="", data=b"\x05" + bytes(40)), "crc validation failed"),
-    ],
-)
+WRONG_CHUNKS = [
+    (chunk_of(SAYS), "no channel record found with id 1"),
+    (chunk_of(CHANNEL, SAYS), "no schema record found with id 1"),
+    (chunk_of(SCHEMA, CHANNEL, SAYS, compression="\x1b[2J", data=b"no"), "crc validation failed"),
+    (chunk_of(SCHEMA, CHANNEL, SAYS, data=b"no"), "frame header"),
+    (chunk_of(SCHEMA, CHANNEL, SAYS, uncompressed_crc=1), "crc validation failed"),
+    (chunk_of(SCHEMA, CHANNEL, SAYS, compression="", data=b"\x05" + bytes(40)), "crc validation failed"),
+]
+
+
+@pytest.mark.parametrize(("chunk", "problem"), WRONG_CHUNKS)
 def test_chunks_that_are_wrong(tmp_path: Path, chunk: records.Chunk, problem: str) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(sealed(chunk))
@@ -555,9 +555,8 @@ def said_of(report: Recovered) -> list[str]:
 def refused(data: bytes, folder: Path) -> None:
     """The ordinary reader tells what to do about a damaged log."""
     put(data, folder)
-    with pytest.raises(
-        InputError, match=r"(truncated.*try `mrac-jax inspect --repair OUT .*in\.mcap`|not an MCAP file)"
-    ):
+    said = r"(truncated.*try `mrac-jax inspect --repair OUT .*in\.mcap`|not an MCAP file)"
+    with pytest.raises(InputError, match=said):
         list(open_log(folder / "in.mcap").messages())
 
 

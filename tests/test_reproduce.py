@@ -147,19 +147,19 @@ def test_interrupted_leaves_whole_maps(monkeypatch: pytest.MonkeyPatch, capsys: 
     assert (found["maps"], found["partial"]) == (2, True)
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("check --paper", "--paper"),
-        ("check --paper fig3", "fig4 or fig5"),
-        ("check --paper fig4 --maps 0", "--maps 0"),
-        ("check --paper fig4 --rollouts 0", "--rollouts 0"),
-        ("check --paper fig4 --seed -1", "--seed -1"),
-        ("check --paper fig4 --processes 0", "--processes 0"),
-        ("check --paper fig4 --processes 2 --scheduler tcp://host:1", "one of them"),
-        ("check --paper fig4 --store nowhere/s.db", "nowhere"),
-    ],
-)
+WRONG_USAGE = [
+    ("check --paper", "--paper"),
+    ("check --paper fig3", "fig4 or fig5"),
+    ("check --paper fig4 --maps 0", "--maps 0"),
+    ("check --paper fig4 --rollouts 0", "--rollouts 0"),
+    ("check --paper fig4 --seed -1", "--seed -1"),
+    ("check --paper fig4 --processes 0", "--processes 0"),
+    ("check --paper fig4 --processes 2 --scheduler tcp://host:1", "one of them"),
+    ("check --paper fig4 --store nowhere/s.db", "nowhere"),
+]
+
+
+@pytest.mark.parametrize(("words", "said"), WRONG_USAGE)
 def test_wrong_usage_is_one_line_and_status_2(words: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert said in refused(capsys, *words.split()).lower()
 

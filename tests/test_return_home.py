@@ -250,18 +250,14 @@ def test_open_loop_paths_end_at_home(tmp_path: Any) -> None:
     assert answer.figures.home.mean == answer.figures.alive.mean
 
 
-@pytest.mark.parametrize(
-    ("more", "said"),
-    [
-        ({"return_to": ((0, 99),)}, "outside the map"),
-        ({"return_to": ((0, 3),)}, "cannot reach a base"),
-        ({"return_to": ((0, 1),), "range": 1}, None),
-        ({"return_to": ((0, 2),), "range": 1}, "2 moves from its base"),
-        ({"return_to": "base"}, "home"),
-        ({"return_to": ()}, "home"),
-        ({"return_to": "home", "recharge": 3}, "range"),
-    ],
-)
+NO_WAY_HOME = [
+    ({"return_to": ((0, 99),)}, "outside the map"), ({"return_to": ((0, 3),)}, "cannot reach a base"),
+    ({"return_to": ((0, 1),), "range": 1}, None), ({"return_to": ((0, 2),), "range": 1}, "2 moves from its base"),
+    ({"return_to": "base"}, "home"), ({"return_to": ()}, "home"), ({"return_to": "home", "recharge": 3}, "range"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("more", "said"), NO_WAY_HOME)
 def test_what_cannot_come_home_is_refused(more: dict[str, Any], said: str | None) -> None:
     world = World.create([[0, 0, 0, np.nan, 0]])
     if said is None:

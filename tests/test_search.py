@@ -219,18 +219,18 @@ def test_a_bare_map_becomes_a_scenario(capsys: pytest.CaptureFixture[str], world
     assert scenario.sha256 == WORLD.sha256
 
 
-@pytest.mark.parametrize(
-    ("file", "rows", "said"),
-    [
-        ("list.csv", "0,0\n2,2", "[2, 2] is an obstacle (1 such of 2)"),
-        ("list.csv", "0,0\n6,0", "[6, 0] lies off the map; expected row 0..5 and col 0..7"),
-        ("list.csv", "0.5,0", "holds numbers that are not cells"),
-        ("mask.npy", np.ones((3, 3)), "has shape (3, 3); expected a mask of the map, (6, 8)"),
-        ("mask.npy", np.zeros((6, 8)), "names no cell"),
-        ("mask.npy", np.ones((6, 8)), "is an obstacle (7 such of 48)"),
-        ("mask.txt", "1,1", "is neither 'border' nor such a file"),
-    ],
-)
+WRONG_CANDIDATES = [
+    ("list.csv", "0,0\n2,2", "[2, 2] is an obstacle (1 such of 2)"),
+    ("list.csv", "0,0\n6,0", "[6, 0] lies off the map; expected row 0..5 and col 0..7"),
+    ("list.csv", "0.5,0", "holds numbers that are not cells"),
+    ("mask.npy", np.ones((3, 3)), "has shape (3, 3); expected a mask of the map, (6, 8)"),
+    ("mask.npy", np.zeros((6, 8)), "names no cell"),
+    ("mask.npy", np.ones((6, 8)), "is an obstacle (7 such of 48)"),
+    ("mask.txt", "1,1", "is neither 'border' nor such a file"),
+]
+
+
+@pytest.mark.parametrize(("file", "rows", "said"), WRONG_CANDIDATES)
 def test_wrong_candidates_are_told(
     capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path, file: str, rows: Any, said: str
 ) -> None:

@@ -93,13 +93,9 @@ def by_hand(world: World, plan: Plan, visited: list[int]) -> dict[str, Any]:
     robots: list[dict[str, Any]] = [{"cell": [int(row), int(col)]} for row, col in plan.starts]
     robots[0] = {"cell": robots[0]["cell"], "status": "dead"}
     return {
-        "format": "mrac-state",
-        "version": 1,
-        "world": {"shape": list(world.shape), "sha256": world.sha256},
-        "step": 20,
-        "visited": [list(divmod(cell, width)) for cell in visited],
-        "robots": robots,
-    }
+        "format": "mrac-state", "version": 1, "world": {"shape": list(world.shape), "sha256": world.sha256},
+        "step": 20, "visited": [list(divmod(cell, width)) for cell in visited], "robots": robots,
+    }  # fmt: skip
 
 
 def test_a_state_by_hand_is_allocated_anew() -> None:
@@ -355,14 +351,14 @@ def test_visited_cells_in_a_csv_file(tmp_path: Path, text: str) -> None:
     assert cells_of(read_state(tmp_path / "c.csv", WORLD, STARTS)[0].visited) == DONE
 
 
-@pytest.mark.parametrize(
-    ("text", "step"),
-    [
-        ("robot,row,col\n0,1,0\n1,3,3\n0,1,1\n1,3,3\n0,2,1\n1,3,4\n", 2),
-        ("robot,row,col,step\n1,3,4,9\n0,1,0,0\n0,2,1,9\n0,1,1,4\n1,3,3,0\n", 9),
-        ("robot,x_m,y_m\n0,11,25\n0,11.5,25.5\n0,13,25\n0,13,23\n0,900,23\n0,13,23\n1,17,21\n1,19,21\n", 2),
-    ],
-)
+TRACKS = [
+    ("robot,row,col\n0,1,0\n1,3,3\n0,1,1\n1,3,3\n0,2,1\n1,3,4\n", 2),
+    ("robot,row,col,step\n1,3,4,9\n0,1,0,0\n0,2,1,9\n0,1,1,4\n1,3,3,0\n", 9),
+    ("robot,x_m,y_m\n0,11,25\n0,11.5,25.5\n0,13,25\n0,13,23\n0,900,23\n0,13,23\n1,17,21\n1,19,21\n", 2),
+]
+
+
+@pytest.mark.parametrize(("text", "step"), TRACKS)
 def test_driven_tracks(tmp_path: Path, text: str, step: int) -> None:
     """Whose lines lie mixed, in any order where steps are said, in metres with a place that is off the map."""
     (tmp_path / "t.csv").write_text(text)
@@ -446,28 +442,28 @@ def test_masks_and_where_the_robots_are_in_python(tmp_path: Path) -> None:
         mrac.plan(WORLD, state=tmp_path / "m.npy")
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "said"),
-    [
-        ("t.csv", "robot,row,col\n0,1,9\n", "line 2: '0, 1, 9' is no cell of the map; expected row 0..3 and col 0..5"),
-        ("t.csv", "robot,row,col\n0,0,3\n", "line 2: '0, 0, 3' is an obstacle"),
-        ("t.csv", "robot,row,col\n0,1.5,2\n", "is no cell of the map"),
-        ("t.csv", "robot,row,col\n0,nan,2\n", "line 2: row is 'nan'"),
-        ("t.csv", "robot,row,col\n", "has a header and no points"),
-        ("t.csv", "", "is empty"),
-        ("t.csv", "robot,row,col,step\n0,1,2,-3\n", "line 2: step is '-3'"),
-        ("t.csv", "robot,row,col,status\n0,1,2,happy\n", "line 2: status 'happy'; expected idle, done, dead or lost"),
-        ("t.csv", "robot,row,col,status\n0,1,2,dead\n", "every robot is dead"),
-        ("t.csv", "robot,x,y\n0,11,25\n0,900,25\n", "robot 0 ends off the map or on an obstacle"),
-        ("t.csv", "robot,a,b\n0,11,25\n", "has the columns robot, a, b; expected row and col, or x and y in metres"),
-        ("t.csv", "robot,row,col\n" + "0,1,1\n" * 131_072, "131073 lines; expected at most 131072"),
-        ("t.csv", "robot,row,col\n" + "".join(f"{n},1,1\n" for n in range(1025)), "1025 robots; expected at most 1024"),
-        ("m.txt", "1,1\n", "no state is read from '.txt'"),
-        ("m.npy", "x", "cannot be read as .npy"),
-        ("m.png", "x", "cannot be read as an image"),
-        ("m.mcap", "x", "is not an MCAP file"),
-    ],
-)
+NO_STATES = [
+    ("t.csv", "robot,row,col\n0,1,9\n", "line 2: '0, 1, 9' is no cell of the map; expected row 0..3 and col 0..5"),
+    ("t.csv", "robot,row,col\n0,0,3\n", "line 2: '0, 0, 3' is an obstacle"),
+    ("t.csv", "robot,row,col\n0,1.5,2\n", "is no cell of the map"),
+    ("t.csv", "robot,row,col\n0,nan,2\n", "line 2: row is 'nan'"),
+    ("t.csv", "robot,row,col\n", "has a header and no points"),
+    ("t.csv", "", "is empty"),
+    ("t.csv", "robot,row,col,step\n0,1,2,-3\n", "line 2: step is '-3'"),
+    ("t.csv", "robot,row,col,status\n0,1,2,happy\n", "line 2: status 'happy'; expected idle, done, dead or lost"),
+    ("t.csv", "robot,row,col,status\n0,1,2,dead\n", "every robot is dead"),
+    ("t.csv", "robot,x,y\n0,11,25\n0,900,25\n", "robot 0 ends off the map or on an obstacle"),
+    ("t.csv", "robot,a,b\n0,11,25\n", "has the columns robot, a, b; expected row and col, or x and y in metres"),
+    ("t.csv", "robot,row,col\n" + "0,1,1\n" * 131_072, "131073 lines; expected at most 131072"),
+    ("t.csv", "robot,row,col\n" + "".join(f"{n},1,1\n" for n in range(1025)), "1025 robots; expected at most 1024"),
+    ("m.txt", "1,1\n", "no state is read from '.txt'"),
+    ("m.npy", "x", "cannot be read as .npy"),
+    ("m.png", "x", "cannot be read as an image"),
+    ("m.mcap", "x", "is not an MCAP file"),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "said"), NO_STATES)
 def test_what_is_no_state(tmp_path: Path, name: str, text: str, said: str) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError) as caught:

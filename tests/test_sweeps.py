@@ -193,9 +193,8 @@ def test_moments_against_numpy() -> None:
         moments.add(value, error, 6)
     apart = values[:, 0] - values[:, 0].mean(axis=0)
     assert moments.scatter[0] == pytest.approx(apart.T @ apart) and not moments.scatter[1].any()
-    assert (
-        moments.lean[0] == pytest.approx(np.einsum("ma,mb,mc->abc", apart, apart, apart)) and not moments.lean[1].any()
-    )
+    assert moments.lean[0] == pytest.approx(np.einsum("ma,mb,mc->abc", apart, apart, apart))
+    assert not moments.lean[1].any()
     right = values[:, 0] @ [1.0, -0.4]  # 0.02 / 0.05, of 1,200 rollouts
     rare = max(abs((far**3).sum() / (far**2).sum() / 200) for far in (right - right.mean(), apart[:, 0]))
     found = moments.estimate(0, -np.inf, np.inf)
@@ -385,33 +384,23 @@ def test_null_is_a_value_where_a_setting_may_be_unset(tmp_path: Path) -> None:
 
 
 BAD = {
-    "sweep: {robot: [1]}": "did you mean 'robots'",
-    "sweeps: {}": "did you mean 'sweep'",
-    "base: {ratios: 1}": "did you mean 'ratio'",
-    "sweep: {robots: []}": "a list of values",
-    "sweep: {robots: 3}": "a list of values",
-    "sweep: {robots: [0]}": r"sweep.robots\[0\]",
-    "sweep: {robots: [2, 2]}": "not 2 twice",
-    "sweep: {risk: [paper, logg]}": "did you mean 'log'",
-    "sweep: {density: [0.5]}": "sweep.density.*above 1",
-    "sweep: {ratio: [0.2, 0.9]}": "sweep.ratio.*360 threats",
+    "sweep: {robot: [1]}": "did you mean 'robots'", "sweeps: {}": "did you mean 'sweep'",
+    "base: {ratios: 1}": "did you mean 'ratio'", "sweep: {robots: []}": "a list of values",
+    "sweep: {robots: 3}": "a list of values", "sweep: {robots: [0]}": r"sweep.robots\[0\]",
+    "sweep: {robots: [2, 2]}": "not 2 twice", "sweep: {risk: [paper, logg]}": "did you mean 'log'",
+    "sweep: {density: [0.5]}": "sweep.density.*above 1", "sweep: {ratio: [0.2, 0.9]}": "sweep.ratio.*360 threats",
     "base: {input: none.yaml}": "no such file",
     "base: {input: 'example:paper'}\nmaps: 3": "no maps, since the input is a single map",
     "base: {input: 'example:paper'}\nsweep: {size: [3x3]}": "size is for the paper's",
     "base: {input: 'example:paper'}\nsweep: {kind: [scattered]}": "no generated threats",
-    "base: {unknown: free}": "unknown key `base.unknown`",
-    "base: {map: floor.npz}": "use `input: FILE`",
+    "base: {unknown: free}": "unknown key `base.unknown`", "base: {map: floor.npz}": "use `input: FILE`",
     "base: {seed: 3}": "unknown key `base.seed`",
     "base: {loop: open}\nsweep: {threat_checks: [first_visit]}": "needs the closed loop",
-    "sweep: {'threats[0].scale': [1]}": "an input in `base`",
-    "base: {starts: [[0]]}": "row, col",
+    "sweep: {'threats[0].scale': [1]}": "an input in `base`", "base: {starts: [[0]]}": "row, col",
     "base: {robots: 2, starts: [[1, 1]]}": "2 robots and 1 starts",
-    "maps: 0": "expected a whole number, 1 to 1000000",
-    "first_seed: 18446744073709551615": "at most 2..64",
-    "rollouts: 1.5": "a whole number",
-    "[1, 2]": "expected keys",
-    "maps: {": "line 1",
-}
+    "maps: 0": "expected a whole number, 1 to 1000000", "first_seed: 18446744073709551615": "at most 2..64",
+    "rollouts: 1.5": "a whole number", "[1, 2]": "expected keys", "maps: {": "line 1",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -898,13 +887,13 @@ def shifted(world: World) -> World:
     return world.with_phases([(9, np.where(world.free, both, np.nan))])
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "made"),
-    [
-        ("latent_hazard", "{kind: persistent, h: 0.5, learn: true}", mined),
-        ("phases", "[{from: 9, threats: [{raster: %s}]}]", shifted),
-    ],
-)
+ON_RANDOM_MAPS = [
+    ("latent_hazard", "{kind: persistent, h: 0.5, learn: true}", mined),
+    ("phases", "[{from: 9, threats: [{raster: %s}]}]", shifted),
+]
+
+
+@pytest.mark.parametrize(("key", "value", "made"), ON_RANDOM_MAPS)
 def test_random_maps_have_hazards_and_phases(key: str, value: str, made: Any, tmp_path: Path) -> None:
     np.save(tmp_path / "shift.npy", SHIFT.threat)
     text = f"base: {{size: 6x8, robots: 2}}\nmaps: 3\nseed: 3\nsweep: {{{key}: [{value}]}}"

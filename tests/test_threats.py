@@ -47,14 +47,14 @@ def laid(folder: Path, ground: np.ndarray, values: list, resolution: float, at: 
 VALUES = np.arange(54, dtype=np.float64).reshape(6, 9)
 
 
-@pytest.mark.parametrize(
-    ("rule", "expected"),
-    [
-        ({"kind": "linear", "scale": 0.01}, VALUES * 0.01),
-        ({"kind": "exposure", "rate": 0.02}, 1 - np.exp(-0.02 * VALUES)),
-        ({"kind": "classes", "edges": [10, 20.5], "p": [0, 0.1, 0.3]}, 0.1 * (VALUES >= 10) + 0.2 * (VALUES >= 20.5)),
-    ],
-)
+RULES = [
+    ({"kind": "linear", "scale": 0.01}, VALUES * 0.01),
+    ({"kind": "exposure", "rate": 0.02}, 1 - np.exp(-0.02 * VALUES)),
+    ({"kind": "classes", "edges": [10, 20.5], "p": [0, 0.1, 0.3]}, 0.1 * (VALUES >= 10) + 0.2 * (VALUES >= 20.5)),
+]
+
+
+@pytest.mark.parametrize(("rule", "expected"), RULES)
 def test_rules(tmp_path: Path, rule: dict, expected: np.ndarray) -> None:
     threat = load(tmp_path, [{"raster": raster(tmp_path, VALUES), "rule": rule}])
     free = ~np.isnan(threat)
@@ -73,19 +73,15 @@ def test_what_lies_on_obstacles_does_not_matter(tmp_path: Path) -> None:
         assert np.isnan(load(tmp_path, [{"raster": raster(tmp_path, values)}])[0, 1])
 
 
-@pytest.mark.parametrize(
-    ("wrong", "rule", "names"),
-    [
-        (np.nan, RULE, "nan (no data) at [2, 4]"),
-        (np.inf, RULE, "infinite at [2, 4]"),
-        (-3.0, RULE, "p = -0.003 for the value -3 at [2, 4]"),
-        (1500.0, RULE, "p = 1.5 for the value 1500 at [2, 4]"),
-        (1000.0, RULE, "lower scale"),
-        (1e9, {"kind": "exposure", "rate": 1.0}, "p = 1 for the value 1e+09 at [2, 4]"),
-        (-1e300, {"kind": "exposure", "rate": 1e9}, "at [2, 4]"),
-        (1.0, None, "give a rule"),
-    ],
-)
+NO_PROBABILITIES = [
+    (np.nan, RULE, "nan (no data) at [2, 4]"), (np.inf, RULE, "infinite at [2, 4]"),
+    (-3.0, RULE, "p = -0.003 for the value -3 at [2, 4]"), (1500.0, RULE, "p = 1.5 for the value 1500 at [2, 4]"),
+    (1000.0, RULE, "lower scale"), (1e9, {"kind": "exposure", "rate": 1.0}, "p = 1 for the value 1e+09 at [2, 4]"),
+    (-1e300, {"kind": "exposure", "rate": 1e9}, "at [2, 4]"), (1.0, None, "give a rule"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("wrong", "rule", "names"), NO_PROBABILITIES)
 def test_a_raster_that_gives_no_probability(tmp_path: Path, wrong: float, rule: dict | None, names: str) -> None:
     values = np.zeros((6, 9))
     values[2, 4] = wrong
@@ -165,43 +161,43 @@ WRONG_RULES = (
 )
 
 
-@pytest.mark.parametrize(
-    ("source", "names"),
-    [
-        ({"rastr": "r.npy"}, "did you mean 'raster'"),
-        ({"raster": "gone.npy"}, "`threats[0].raster`: no such file"),
-        ({"raster": "scenario.yaml"}, "unknown raster format '.yaml'"),
-        ({"raster": 3}, "`threats[0].raster` is 3"),
-        ({"raster": "a", "layer": "b"}, "not both raster and layer"),
-        ({"raster": "a", "scale": 2}, "unknown key `threats[0].scale`"),
-        ({}, "one of raster"),
-        ("fire", "`threats[0]` is 'fire'"),
-        ({"points": "scenario.yaml"}, "falloff"),
-        ({"points": "scenario.yaml", "falloff": {"kind": "cone", "radius": 1}}, "falloff.kind` is 'cone'"),
-        *(
-            ({"points": "scenario.yaml", "falloff": {"kind": kind, "radius": radius}}, "falloff.radius` is ")
-            for kind in ("disc", "gaussian")
-            for radius in (0, 1e300, 1e308, 1e-320, 1e10)
-        ),
-        ({"layer": "scenario.yaml", "scale": 0}, "scale` is 0"),
-        ({"viewshed": {"sites": [[0, 0]], "range": 5, "p": 0.1}}, "needs heights"),
-        *(({"raster": "r.npy", "rule": rule}, said) for rule, said in WRONG_RULES),
-        ({"generate": {"kind": "contiguos", "ratio": 0.2}}, "did you mean 'contiguous'"),
-        ({"generate": {"kind": "scattered"}}, "generate.ratio` is missing"),
-        *(
-            ({"generate": {"kind": "scattered", "ratio": 0.2} | wrong}, f"generate.{said}")
-            for wrong, said in (
-                ({"ratio": 1.5}, "ratio` is 1.5"),
-                ({"areas": 0}, "areas` is 0"),
-                ({"levels": []}, "levels"),
-                ({"levels": [0.1, 1]}, "levels[1]` is 1"),
-                ({"seed": -1}, "seed` is -1"),
-                ({"seed": 1.0}, "seed` is 1.0"),
-                ({"level": [0.1]}, "level`; expected one of kind, ratio, areas, levels, seed; did you mean 'levels'"),
-            )
-        ),
-    ],
-)
+WRONG_SOURCES = [
+    ({"rastr": "r.npy"}, "did you mean 'raster'"),
+    ({"raster": "gone.npy"}, "`threats[0].raster`: no such file"),
+    ({"raster": "scenario.yaml"}, "unknown raster format '.yaml'"),
+    ({"raster": 3}, "`threats[0].raster` is 3"),
+    ({"raster": "a", "layer": "b"}, "not both raster and layer"),
+    ({"raster": "a", "scale": 2}, "unknown key `threats[0].scale`"),
+    ({}, "one of raster"),
+    ("fire", "`threats[0]` is 'fire'"),
+    ({"points": "scenario.yaml"}, "falloff"),
+    ({"points": "scenario.yaml", "falloff": {"kind": "cone", "radius": 1}}, "falloff.kind` is 'cone'"),
+    *(
+        ({"points": "scenario.yaml", "falloff": {"kind": kind, "radius": radius}}, "falloff.radius` is ")
+        for kind in ("disc", "gaussian")
+        for radius in (0, 1e300, 1e308, 1e-320, 1e10)
+    ),
+    ({"layer": "scenario.yaml", "scale": 0}, "scale` is 0"),
+    ({"viewshed": {"sites": [[0, 0]], "range": 5, "p": 0.1}}, "needs heights"),
+    *(({"raster": "r.npy", "rule": rule}, said) for rule, said in WRONG_RULES),
+    ({"generate": {"kind": "contiguos", "ratio": 0.2}}, "did you mean 'contiguous'"),
+    ({"generate": {"kind": "scattered"}}, "generate.ratio` is missing"),
+    *(
+        ({"generate": {"kind": "scattered", "ratio": 0.2} | wrong}, f"generate.{said}")
+        for wrong, said in (
+            ({"ratio": 1.5}, "ratio` is 1.5"),
+            ({"areas": 0}, "areas` is 0"),
+            ({"levels": []}, "levels"),
+            ({"levels": [0.1, 1]}, "levels[1]` is 1"),
+            ({"seed": -1}, "seed` is -1"),
+            ({"seed": 1.0}, "seed` is 1.0"),
+            ({"level": [0.1]}, "level`; expected one of kind, ratio, areas, levels, seed; did you mean 'levels'"),
+        )
+    ),
+]
+
+
+@pytest.mark.parametrize(("source", "names"), WRONG_SOURCES)
 def test_wrong_sources(tmp_path: Path, source: object, names: str) -> None:
     raster(tmp_path, VALUES)
     with pytest.raises(InputError, match=re.escape(names)) as caught:
@@ -209,14 +205,14 @@ def test_wrong_sources(tmp_path: Path, source: object, names: str) -> None:
     assert isinstance(caught.value, ScenarioError) or "threats[0]" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("p", "said"),
-    [
-        (1e300, r"nan \(no data\) .* \(54 pixels of 1e\+300, a mark of no data"),
-        (1.0, "gives p = "),
-        (-0.1, "gives p = "),
-    ],
-)
+NOT_P = [
+    (1e300, r"nan \(no data\) .* \(54 pixels of 1e\+300, a mark of no data"),
+    (1.0, "gives p = "),
+    (-0.1, "gives p = "),
+]
+
+
+@pytest.mark.parametrize(("p", "said"), NOT_P)
 def test_probabilities_that_are_none(tmp_path: Path, p: float, said: str) -> None:
     (tmp_path / "a.geojson").write_text(json.dumps({"type": "Polygon", "coordinates": [[[0, 0], [1, 0], [1, 1]]]}))
     with pytest.raises(ScenarioError, match=r"threats\[0\]\.p` is"):
@@ -264,29 +260,24 @@ def test_points_at_the_centres(tmp_path: Path) -> None:
         assert passed.min() < 0.8
 
 
-@pytest.mark.parametrize(
-    ("text", "names"),
-    [
-        ("", "is empty"),
-        ("x,y,strength\n", "no points"),
-        ("1,2\n", "line 1 has 2 values"),
-        ("1,2,0.5\n1,2\n", "line 2 has 2 values"),
-        ("1,1,0.5\n1e308,1,0.5\n", "line 2: x is '1e308'"),
-        ("1,2,1\n", "line 1: strength is 1"),
-        ("1,2,-0.1\n", "line 1: strength is -0.1"),
-        ("x,y,strength\n1,nan,0.1\n", "line 2: y is 'nan'"),
-        ("x,y,strength\n1,2,strong\n", "line 2: strength is 'strong'"),
-        ("x,y,z,w\n1,2,3,4\n", "columns x, y, z, w"),
-        ("x;y;strength\n1,5;2;0.5\n3;4;0,25\n", "strength: line 3 has '0,25' and line 2 '0.5'"),
-        ("x;y;strength\n1,234;2,345;0\n", "x: line 2: '1,234' may be 1.234 or 1234"),
-        ("x;y;strength\n1.234;2,3;0\n", "x: line 2: '1.234' may be 1.234 or 1234"),
-        ("x;y;strength\n1.234,5;2;0\n", "x: line 2: '1.234,5' has marks between thousands"),
-        ("x;1\ty\n1;2\t3\n", "its columns may be separated by semicolons or by tabs"),
-        ("x,y,strength\n1;2;0.5\n", "line 2 has 1 values, and semicolons; expected 3 as above, separated by commas"),
-        ("x,y,strength\n1,0,2,0,0,5\n", "if its numbers have decimal commas, separate the columns by semicolons"),
-        ("1,0,2,0,0,5\n", "if its numbers have decimal commas, separate the columns by semicolons"),
-    ],
-)
+BROKEN_POINTS = [
+    ("", "is empty"), ("x,y,strength\n", "no points"), ("1,2\n", "line 1 has 2 values"),
+    ("1,2,0.5\n1,2\n", "line 2 has 2 values"), ("1,1,0.5\n1e308,1,0.5\n", "line 2: x is '1e308'"),
+    ("1,2,1\n", "line 1: strength is 1"), ("1,2,-0.1\n", "line 1: strength is -0.1"),
+    ("x,y,strength\n1,nan,0.1\n", "line 2: y is 'nan'"),
+    ("x,y,strength\n1,2,strong\n", "line 2: strength is 'strong'"), ("x,y,z,w\n1,2,3,4\n", "columns x, y, z, w"),
+    ("x;y;strength\n1,5;2;0.5\n3;4;0,25\n", "strength: line 3 has '0,25' and line 2 '0.5'"),
+    ("x;y;strength\n1,234;2,345;0\n", "x: line 2: '1,234' may be 1.234 or 1234"),
+    ("x;y;strength\n1.234;2,3;0\n", "x: line 2: '1.234' may be 1.234 or 1234"),
+    ("x;y;strength\n1.234,5;2;0\n", "x: line 2: '1.234,5' has marks between thousands"),
+    ("x;1\ty\n1;2\t3\n", "its columns may be separated by semicolons or by tabs"),
+    ("x,y,strength\n1;2;0.5\n", "line 2 has 1 values, and semicolons; expected 3 as above, separated by commas"),
+    ("x,y,strength\n1,0,2,0,0,5\n", "if its numbers have decimal commas, separate the columns by semicolons"),
+    ("1,0,2,0,0,5\n", "if its numbers have decimal commas, separate the columns by semicolons"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "names"), BROKEN_POINTS)
 def test_broken_points_files(tmp_path: Path, text: str, names: str) -> None:
     """Such as a table that can be read in two ways."""
     (tmp_path / "p.csv").write_text(text)
@@ -338,16 +329,16 @@ def test_polygons_with_holes_and_overlap(tmp_path: Path) -> None:
 MUNICH = [[11.57549, 48.13743], [11.57812, 48.13743], [11.57812, 48.13901]]
 
 
-@pytest.mark.parametrize(
-    ("ring", "names"),
-    [
-        (MUNICH, ["x 11.57549 .. 11.57812", "reproject"]),
-        ([[11.50549, 1.13743], [11.57812, 1.13743], [11.57812, 1.13901]], ["reproject"]),
-        ([[1.50549, 1.53743], [1.50812, 1.53743], [1.50812, 1.53901]], ["reproject"]),
-        ([[691000, 5334000], [691050, 5334000], [691050, 5334050]], ["the map is 9 x 6 m from (0, 0)"]),
-        ([[20, 1], [30, 1], [30, 3]], ["x 20 .. 30, y 1 .. 3"]),
-    ],
-)
+POLYGONS_NOT_MEANT = [
+    (MUNICH, ["x 11.57549 .. 11.57812", "reproject"]),
+    ([[11.50549, 1.13743], [11.57812, 1.13743], [11.57812, 1.13901]], ["reproject"]),
+    ([[1.50549, 1.53743], [1.50812, 1.53743], [1.50812, 1.53901]], ["reproject"]),
+    ([[691000, 5334000], [691050, 5334000], [691050, 5334050]], ["the map is 9 x 6 m from (0, 0)"]),
+    ([[20, 1], [30, 1], [30, 3]], ["x 20 .. 30, y 1 .. 3"]),
+]
+
+
+@pytest.mark.parametrize(("ring", "names"), POLYGONS_NOT_MEANT)
 def test_polygons_that_cannot_be_meant_are_refused(tmp_path: Path, ring: list, names: list[str]) -> None:
     with pytest.raises(ScenarioError) as caught:
         load(tmp_path, [{"polygons": geojson(tmp_path, feature([ring]))}])
@@ -367,15 +358,15 @@ def test_a_crs_of_degrees_is_refused_and_one_of_metres_is_not(tmp_path: Path, na
                 load(tmp_path, [{"polygons": "a.geojson"}])
 
 
-@pytest.mark.parametrize(
-    ("text", "names"),
-    [
-        ("lon,lat,strength\n1,2,0.5\n", "lon, lat, strength"),
-        ("longitude,latitude,weight\n1,2,0.5\n", "expected x, y in metres"),
-        ("11.57549,48.13743,0.5\n", "reproject"),
-        ("691000,5334000,0.5\n691001,5334000,0.5\n", "covers no cell: x 691000 .. 691001"),
-    ],
-)
+POINTS_NOT_MEANT = [
+    ("lon,lat,strength\n1,2,0.5\n", "lon, lat, strength"),
+    ("longitude,latitude,weight\n1,2,0.5\n", "expected x, y in metres"),
+    ("11.57549,48.13743,0.5\n", "reproject"),
+    ("691000,5334000,0.5\n691001,5334000,0.5\n", "covers no cell: x 691000 .. 691001"),
+]
+
+
+@pytest.mark.parametrize(("text", "names"), POINTS_NOT_MEANT)
 def test_points_that_cannot_be_meant_are_refused(tmp_path: Path, text: str, names: str) -> None:
     with pytest.raises(InputError, match=re.escape(names)):
         pointed(tmp_path, text, 2)
@@ -438,21 +429,17 @@ RINGS: list[Any] = [
 """Coordinates that cannot be."""
 
 
-@pytest.mark.parametrize(
-    ("wrong", "names"),
-    [
-        (feature([SQUARE], 1), "features[0]: property p is 1"),
-        (feature([SQUARE], None), "property p is missing"),
-        (feature([SQUARE], "high"), "'high'"),
-        (feature([SQUARE], math.nan), "nan"),
-        (feature(SQUARE, 0.1), "wrong coordinates"),
-        (feature([SQUARE[:2]], 0.1), "three finite points"),
-        (feature([[[0, 0], [1, math.inf], [1, 1]]], 0.1), "three finite points"),
-        (feature([0, 0], 0.1, "Point"), "'Point'"),
-        ({"type": "Feature", "properties": [1]}, "properties"),
-        *((feature([ring], 0.5), "a.geojson: features[0]: wrong coordinates (a point is ") for ring in RINGS),
-    ],
-)
+BROKEN_POLYGONS = [
+    (feature([SQUARE], 1), "features[0]: property p is 1"), (feature([SQUARE], None), "property p is missing"),
+    (feature([SQUARE], "high"), "'high'"), (feature([SQUARE], math.nan), "nan"),
+    (feature(SQUARE, 0.1), "wrong coordinates"), (feature([SQUARE[:2]], 0.1), "three finite points"),
+    (feature([[[0, 0], [1, math.inf], [1, 1]]], 0.1), "three finite points"),
+    (feature([0, 0], 0.1, "Point"), "'Point'"), ({"type": "Feature", "properties": [1]}, "properties"),
+    *((feature([ring], 0.5), "a.geojson: features[0]: wrong coordinates (a point is ") for ring in RINGS),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("wrong", "names"), BROKEN_POLYGONS)
 def test_broken_polygons(tmp_path: Path, wrong: dict, names: str) -> None:
     with pytest.raises(MapError, match=re.escape(names)) as caught:
         load(tmp_path, [{"polygons": geojson(tmp_path, wrong)}])
@@ -558,14 +545,14 @@ def test_observers_are_told_apart_and_a_map_alone_has_no_sources(tmp_path: Path)
     assert load_input(tmp_path / "map.npz").sources is World.create(np.zeros((3, 3))).sources is None
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("a.kml", "<kml><Placemark><name> East  field</name><Polygon><outerBoundaryIs><LinearRing><coordinates>{}"
-                  "</coordinates></LinearRing></outerBoundaryIs></Polygon></Placemark></kml>"),
-        ("a.gpx", "<gpx><trk><name>East field</name><trkseg>{}</trkseg></trk></gpx>"),
-    ],
-)  # fmt: skip
+NAMED = [
+    ("a.kml", "<kml><Placemark><name> East  field</name><Polygon><outerBoundaryIs><LinearRing><coordinates>{}"
+              "</coordinates></LinearRing></outerBoundaryIs></Polygon></Placemark></kml>"),
+    ("a.gpx", "<gpx><trk><name>East field</name><trkseg>{}</trkseg></trk></gpx>"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "text"), NAMED)
 def test_kml_and_gpx_say_names_too(tmp_path: Path, name: str, text: str) -> None:
     corners = [(8.0, 47.0), (8.001, 47.0), (8.001, 47.001), (8.0, 47.001)]
     tuples = " ".join(f"{lon},{lat}" for lon, lat in corners)
@@ -633,22 +620,22 @@ def test_viewshed_on_the_cells_in_bands(tmp_path: Path) -> None:
     assert viewshed(tmp_path, np.zeros((4, 12)), keys, cell_size=20, combine="max").max() == np.float32(0.2)
 
 
-@pytest.mark.parametrize(
-    ("keys", "names"),
-    [
-        ({"sites": [], "range": 5, "p": 0.1}, "viewshed.sites"),
-        ({"sites": [[0, 6]], "range": 5, "p": 0.1}, "viewshed.sites[0][1]` is 6; expected a column, 0 to 5"),
-        ({"sites": [[0]], "range": 5, "p": 0.1}, "viewshed.sites[0]"),
-        ({"sites": [[0.5, 1]], "range": 5, "p": 0.1}, "is 0.5"),
-        ({"sites": [[0, 0]], "range": 0, "p": 0.1}, "viewshed.range"),
-        ({"sites": [[0, 0]], "range": 5, "p": 1}, "viewshed.p"),
-        ({"sites": [[0, 0]], "range": 5, "p": 0.1, "height": -1}, "viewshed.height"),
-        ({"sites": [[0, 0]]}, "range and p, or bands"),
-        ({"sites": [[0, 0]], "p": 0.1, "bands": [[5, 0.1]]}, "not both"),
-        ({"sites": [[0, 0]], "bands": [[5, 0.1], [4, 0.2]]}, "increasing"),
-        ({"sites": [[0, 0]], "bands": [[5, math.nan]]}, "viewshed.bands[0][1]"),
-    ],
-)
+WRONG_VIEWSHEDS = [
+    ({"sites": [], "range": 5, "p": 0.1}, "viewshed.sites"),
+    ({"sites": [[0, 6]], "range": 5, "p": 0.1}, "viewshed.sites[0][1]` is 6; expected a column, 0 to 5"),
+    ({"sites": [[0]], "range": 5, "p": 0.1}, "viewshed.sites[0]"),
+    ({"sites": [[0.5, 1]], "range": 5, "p": 0.1}, "is 0.5"),
+    ({"sites": [[0, 0]], "range": 0, "p": 0.1}, "viewshed.range"),
+    ({"sites": [[0, 0]], "range": 5, "p": 1}, "viewshed.p"),
+    ({"sites": [[0, 0]], "range": 5, "p": 0.1, "height": -1}, "viewshed.height"),
+    ({"sites": [[0, 0]]}, "range and p, or bands"),
+    ({"sites": [[0, 0]], "p": 0.1, "bands": [[5, 0.1]]}, "not both"),
+    ({"sites": [[0, 0]], "bands": [[5, 0.1], [4, 0.2]]}, "increasing"),
+    ({"sites": [[0, 0]], "bands": [[5, math.nan]]}, "viewshed.bands[0][1]"),
+]
+
+
+@pytest.mark.parametrize(("keys", "names"), WRONG_VIEWSHEDS)
 def test_wrong_viewsheds(tmp_path: Path, keys: dict, names: str) -> None:
     with pytest.raises(ScenarioError, match=re.escape(names)):
         viewshed(tmp_path, np.zeros((2, 6)), keys)

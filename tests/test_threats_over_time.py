@@ -40,14 +40,9 @@ from planner.world.world import World, load_world_file
 # Threats that move: against exact values, and those against enumeration.
 
 KINDS: list[dict[str, Any]] = [
-    {},
-    {"policy": "per_cell"},
-    {"policy": "per_cell", "risk_cap": 0.5},
-    {"policy": "per_cell", "robot_value": 6.0},
-    {"range": 25},
-    {"policy": "per_cell", "range": 30},
-    {"transit": "area"},
-]
+    {}, {"policy": "per_cell"}, {"policy": "per_cell", "risk_cap": 0.5}, {"policy": "per_cell", "robot_value": 6.0},
+    {"range": 25}, {"policy": "per_cell", "range": 30}, {"transit": "area"},
+]  # fmt: skip
 ROLLOUTS = 20_000
 SMALL = World.create([[0.0, 0.1, np.nan], [0.2, 0.0, 0.0], [np.nan, 0.3, 0.0]])
 
@@ -147,15 +142,15 @@ def alone(world: World, start: tuple[int, int] | None = None) -> Plan:
     return make_plan(world, place_starts(world, 1)[0] if start is None else [start])
 
 
-@pytest.mark.parametrize(
-    "movers",
-    [
-        [MovingThreat(0.4, 0.25)],
-        [MovingThreat(1.0, 0.0, 4)],
-        [MovingThreat(0.6, 0.0, 4, (4, 5, 8, 7)), MovingThreat(0.3, 0.5, 8)],
-        [MovingThreat(0.5, 0.0, -1, (0, 1, 4, 3)), MovingThreat(0.5, 0.1)],
-    ],
-)
+MOVERS = [
+    [MovingThreat(0.4, 0.25)],
+    [MovingThreat(1.0, 0.0, 4)],
+    [MovingThreat(0.6, 0.0, 4, (4, 5, 8, 7)), MovingThreat(0.3, 0.5, 8)],
+    [MovingThreat(0.5, 0.0, -1, (0, 1, 4, 3)), MovingThreat(0.5, 0.1)],
+]
+
+
+@pytest.mark.parametrize("movers", MOVERS)
 def test_one_robot_is_known_exactly_as_enumeration_has_it(movers: list[MovingThreat]) -> None:
     world = SMALL.with_moving_threats(movers)
     whole = [(0, 0), (0, 1), (1, 1), (1, 1), (1, 0), (1, 1), (1, 2), (2, 2), (2, 1)]
@@ -296,37 +291,37 @@ def test_a_plan_of_an_earlier_release_keeps_its_reading(tmp_path: Path) -> None:
     assert read.call_count == 1
 
 
-@pytest.mark.parametrize(
-    ("more", "said"),
-    [
-        ("moving_threats: 3\n", r"`moving_threats` is 3; expected a list of moving threats"),
-        ("moving_threats: [{h: 0.5}]\n", r"`moving_threats\[0\]` is .*either walk or patrol"),
-        ("moving_threats: [{walk: 0.5}]\n", r"`moving_threats\[0\]\.h` is missing"),
-        ("moving_threats: [{walk: 1.5, h: 0.5}]\n", r"`moving_threats\[0\]\.walk` is 1\.5; expected a chance to stay"),
-        ("moving_threats: [{walk: 0.5, h: 2}]\n", r"`moving_threats\[0\]\.h` is 2"),
-        (
-            "moving_threats: [{walk: 0.5, h: 0.1, start: [9, 0]}]\n",
-            r"`moving_threats\[0\]\.start` is \[9, 0\]; expected a cell",
-        ),
-        ("moving_threats: [{walk: 0.5, h: 0.1, start: [0, 2]}]\n", r"starts at \[0, 2\], which is no free cell"),
-        ("moving_threats: [{patrol: [[0, 0], [1, 1]], h: 0.1}]\n", r"its route goes from \[0, 0\] to \[1, 1\]"),
-        (
-            "moving_threats: [{walk: 0, h: 0}, {patrol: [[0, 0], [0, 1], [1, 1]], h: 0.1}]\n",
-            r"`moving_threats\[1\]`: its route goes from \[1, 1\] to \[0, 0\]",
-        ),
-        ("moving_threats: [{patrol: [[0, 0]], h: 0.1}]\n", r"two cells \[row, col\] or more"),
-        ("moving_threats: [{patrol: [[0, 0], [0, 1]], start: [1, 1], h: 0.1}]\n", r"starts at \[1, 1\], off its route"),
-        (
-            "moving_threats: [{walk: 0.5, h: 0.5}]\nlatent_hazard: {kind: consumed, q: 0.1}\n",
-            r"`moving_threats` is .*none together with latent_hazard",
-        ),
-        ("plan_on: own\n", r"`plan_on` is 'own'; expected none without moving_threats"),
-        (
-            "moving_threats: [{walk: 0.5, h: 0.5}]\nplan_on: last\n",
-            r"`plan_on` is 'last'; expected patrols or joined or own",
-        ),
-    ],
-)
+WRONG_MOVERS = [
+    ("moving_threats: 3\n", r"`moving_threats` is 3; expected a list of moving threats"),
+    ("moving_threats: [{h: 0.5}]\n", r"`moving_threats\[0\]` is .*either walk or patrol"),
+    ("moving_threats: [{walk: 0.5}]\n", r"`moving_threats\[0\]\.h` is missing"),
+    ("moving_threats: [{walk: 1.5, h: 0.5}]\n", r"`moving_threats\[0\]\.walk` is 1\.5; expected a chance to stay"),
+    ("moving_threats: [{walk: 0.5, h: 2}]\n", r"`moving_threats\[0\]\.h` is 2"),
+    (
+        "moving_threats: [{walk: 0.5, h: 0.1, start: [9, 0]}]\n",
+        r"`moving_threats\[0\]\.start` is \[9, 0\]; expected a cell",
+    ),
+    ("moving_threats: [{walk: 0.5, h: 0.1, start: [0, 2]}]\n", r"starts at \[0, 2\], which is no free cell"),
+    ("moving_threats: [{patrol: [[0, 0], [1, 1]], h: 0.1}]\n", r"its route goes from \[0, 0\] to \[1, 1\]"),
+    (
+        "moving_threats: [{walk: 0, h: 0}, {patrol: [[0, 0], [0, 1], [1, 1]], h: 0.1}]\n",
+        r"`moving_threats\[1\]`: its route goes from \[1, 1\] to \[0, 0\]",
+    ),
+    ("moving_threats: [{patrol: [[0, 0]], h: 0.1}]\n", r"two cells \[row, col\] or more"),
+    ("moving_threats: [{patrol: [[0, 0], [0, 1]], start: [1, 1], h: 0.1}]\n", r"starts at \[1, 1\], off its route"),
+    (
+        "moving_threats: [{walk: 0.5, h: 0.5}]\nlatent_hazard: {kind: consumed, q: 0.1}\n",
+        r"`moving_threats` is .*none together with latent_hazard",
+    ),
+    ("plan_on: own\n", r"`plan_on` is 'own'; expected none without moving_threats"),
+    (
+        "moving_threats: [{walk: 0.5, h: 0.5}]\nplan_on: last\n",
+        r"`plan_on` is 'last'; expected patrols or joined or own",
+    ),
+]
+
+
+@pytest.mark.parametrize(("more", "said"), WRONG_MOVERS)
 def test_a_wrong_mover_is_one_line(tmp_path: Path, more: str, said: str) -> None:
     with pytest.raises(InputError, match=said) as error:
         scenario(tmp_path, more)
@@ -568,26 +563,22 @@ def test_a_scenario_and_its_world_file_phases(tmp_path: Path) -> None:
             load_world_file(tmp_path / "bad.npz")
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("from: 4", "from: -1", r"`phases`: phases\[0\]\.from is -1; expected a step, 0 to"),
-        ("from: 4", "from: 1.5", r"phases\[0\]\.from is 1\.5; expected a step"),
-        ("from: 4", "from: 0", r"`phases` begin at step 0, where `threats` are to hold; leave `threats` out"),
-        ("from: 4", "step: 4", r"phases\[0\]"),
-        (
-            "phases:\n",
-            "phases:\n- {from: 9, threats: []}\n",
-            r"phases\[1\]\.from is 4; expected a step, 10 to .* order",
-        ),
-        ("threats: [{raster: b.npy}]", "threats: 3", r"`phases\[0\]\.threats` is 3; expected a list of sources"),
-        ("{raster: b.npy}", "{raster: c.npy}", r"`phases\[0\]\.threats\[0\]\.raster`"),
-        ("phases:\n- {from: 4, threats: [{raster: b.npy}]}\n", "phases: []\n", r"`phases` is \[\]; expected a list of"),
-        ("map: m.npy", "map: m.npy\nplan_on: last", r"`plan_on` is 'last'; expected now or first or worst"),
-        ("map: m.npy", "map: m.npy\nmoving_threats: [{walk: 1, h: 0.1}]", r"`phases` is .*none together with moving"),
-        ("map: m.npy", "map: m.npy\nprior_map: {p: 0.1}", r"uncertainty: threats that change at step 4"),
-    ],
-)
+WRONG_PHASES = [
+    ("from: 4", "from: -1", r"`phases`: phases\[0\]\.from is -1; expected a step, 0 to"),
+    ("from: 4", "from: 1.5", r"phases\[0\]\.from is 1\.5; expected a step"),
+    ("from: 4", "from: 0", r"`phases` begin at step 0, where `threats` are to hold; leave `threats` out"),
+    ("from: 4", "step: 4", r"phases\[0\]"),
+    ("phases:\n", "phases:\n- {from: 9, threats: []}\n", r"phases\[1\]\.from is 4; expected a step, 10 to .* order"),
+    ("threats: [{raster: b.npy}]", "threats: 3", r"`phases\[0\]\.threats` is 3; expected a list of sources"),
+    ("{raster: b.npy}", "{raster: c.npy}", r"`phases\[0\]\.threats\[0\]\.raster`"),
+    ("phases:\n- {from: 4, threats: [{raster: b.npy}]}\n", "phases: []\n", r"`phases` is \[\]; expected a list of"),
+    ("map: m.npy", "map: m.npy\nplan_on: last", r"`plan_on` is 'last'; expected now or first or worst"),
+    ("map: m.npy", "map: m.npy\nmoving_threats: [{walk: 1, h: 0.1}]", r"`phases` is .*none together with moving"),
+    ("map: m.npy", "map: m.npy\nprior_map: {p: 0.1}", r"uncertainty: threats that change at step 4"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "said"), WRONG_PHASES)
 def test_a_wrong_phase_is_one_line(tmp_path: Path, old: str, new: str, said: str) -> None:
     assert old in SCENARIO_PHASES
     with pytest.raises(InputError, match=said) as error:

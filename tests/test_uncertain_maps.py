@@ -161,10 +161,8 @@ def test_a_scenario_names_hazards_and_maps(tmp_path: Path) -> None:
     weak = scenario(tmp_path, "latent_hazard: {kind: persistent, q: 0.25, h: threats}")
     assert weak.randomness_sha256 == TINY.with_latent_hazard("persistent", 0.25, TINY.threat).randomness_sha256
     raster = scenario(tmp_path, "latent_hazard: {kind: persistent, q: p.csv, h: other.csv}", "[]")
-    assert (
-        raster.randomness_sha256
-        == TINY.with_latent_hazard("persistent", TINY.threat, 2 * TINY.threat).randomness_sha256
-    )
+    persistent = TINY.with_latent_hazard("persistent", TINY.threat, 2 * TINY.threat)
+    assert raster.randomness_sha256 == persistent.randomness_sha256
     assert scenario(tmp_path, "latent_hazard: {kind: independent}").randomness_sha256 == TINY.sha256
     maps = scenario(tmp_path, "map_uncertainty: {maps: [p.csv, other.csv], plan_on: 0.9}", "[]")
     assert maps.randomness_sha256 == TINY.with_maps([TINY.threat, 2 * TINY.threat], 0.9).randomness_sha256

@@ -451,17 +451,17 @@ def test_bad_values_are_one_line_and_nothing_is_written(tmp_path: Path, capsys, 
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    ("layers", "said"),
-    [
-        ({"value": np.full((3, 4), -1.0)}, "value is -1 at [0, 0] (11 such cells)"),
-        ({"value": np.full((3, 4), np.nan)}, "value is nan at [0, 0]"),
-        ({"value": np.ones((4, 3))}, "value has shape (4, 3); expected one number, or one in every free"),
-        ({"value": np.zeros((3, 4))}, "value is 0 in every free cell"),
-        ({"value": [["a"]]}, "value holds <U1; expected numbers"),
-        ({"detect": 1.01}, "detect is 1.01 at [0, 0]"),
-    ],
-)
+BAD_ARRAYS = [
+    ({"value": np.full((3, 4), -1.0)}, "value is -1 at [0, 0] (11 such cells)"),
+    ({"value": np.full((3, 4), np.nan)}, "value is nan at [0, 0]"),
+    ({"value": np.ones((4, 3))}, "value has shape (4, 3); expected one number, or one in every free"),
+    ({"value": np.zeros((3, 4))}, "value is 0 in every free cell"),
+    ({"value": [["a"]]}, "value holds <U1; expected numbers"),
+    ({"detect": 1.01}, "detect is 1.01 at [0, 0]"),
+]
+
+
+@pytest.mark.parametrize(("layers", "said"), BAD_ARRAYS)
 def test_bad_arrays(layers: dict[str, Any], said: str) -> None:
     with pytest.raises(WorldError) as raised:
         World.create(THREAT, **layers)

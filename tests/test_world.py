@@ -30,19 +30,19 @@ from planner.world.world import World, load_world_file
 # The world: what it accepts, where its cells lie on the ground, its file, its identity, and its graph.
 
 
-@pytest.mark.parametrize(
-    ("threat", "said"),
-    [
-        *(
-            ([[0.0, p]], rf"threat is {p:g} at .* 0 <= p < 1".replace("+", r"\+"))
-            for p in (-0.1, -0.3, 1.0, 2.0, 1e300, np.inf)
-        ),
-        ([[np.nan, np.nan]], "every cell is an obstacle"),
-        *((shaped, "shape") for shaped in ([], [0.0, 0.1], np.zeros((0, 3)))),
-        ([["a"]], "numbers"),
-        ([[0.99999999]], "threat is 0.99999999 at .* at most 0.9999999"),
-    ],
-)
+WRONG_THREATS = [
+    *(
+        ([[0.0, p]], rf"threat is {p:g} at .* 0 <= p < 1".replace("+", r"\+"))
+        for p in (-0.1, -0.3, 1.0, 2.0, 1e300, np.inf)
+    ),
+    ([[np.nan, np.nan]], "every cell is an obstacle"),
+    *((shaped, "shape") for shaped in ([], [0.0, 0.1], np.zeros((0, 3)))),
+    ([["a"]], "numbers"),
+    ([[0.99999999]], "threat is 0.99999999 at .* at most 0.9999999"),
+]
+
+
+@pytest.mark.parametrize(("threat", "said"), WRONG_THREATS)
 def test_wrong_threats_are_named(threat: object, said: str, tmp_path: Path) -> None:
     """Only p = 1 is called an obstacle."""
     with pytest.raises(InputError, match=said) as caught:
@@ -53,18 +53,14 @@ def test_wrong_threats_are_named(threat: object, said: str, tmp_path: Path) -> N
         load_input(tmp_path / "w.npy")
 
 
-@pytest.mark.parametrize(
-    ("starts", "said"),
-    [
-        ([[0, 1]], "robot 0 starts at \\[0, 1\\], an obstacle"),
-        ([[0, 0], [2, 0]], "robot 1 starts at \\[2, 0\\], outside the map"),
-        ([[-1, 0]], "outside the map"),
-        ([[0.5, 0]], "whole numbers"),
-        ([], "shape"),
-        ([0, 0], "shape"),
-        (np.zeros((1025, 2), int), "at most 1024"),
-    ],
-)
+WRONG_STARTS = [
+    ([[0, 1]], "robot 0 starts at \\[0, 1\\], an obstacle"),
+    ([[0, 0], [2, 0]], "robot 1 starts at \\[2, 0\\], outside the map"), ([[-1, 0]], "outside the map"),
+    ([[0.5, 0]], "whole numbers"), ([], "shape"), ([0, 0], "shape"), (np.zeros((1025, 2), int), "at most 1024"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("starts", "said"), WRONG_STARTS)
 def test_wrong_starts_are_named(starts: object, said: str) -> None:
     with pytest.raises(InputError, match=said):
         World.create([[0.0, np.nan, 0.0], [0.0, 0.0, 0.0]], starts)  # type: ignore[arg-type]
@@ -247,20 +243,14 @@ def test_a_written_file_has_the_rights_of_any_new_one(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "plain"]
 
 
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("x" * 300, "name too long"),
-        ("nul\0", "no file can have this name"),
-        ("folder", "is a folder"),
-        ("pipe", "no regular file"),
-        ("loop", "no file can have this name"),
-        ("gone/x.json", "folder does not exist"),
-        ("file/x.json", "Not a directory"),
-        ("/proc/x.json", "cannot be written"),
-        ("/dev/null", "no regular file"),
-    ],
-)
+UNWRITABLE = [
+    ("x" * 300, "name too long"), ("nul\0", "no file can have this name"), ("folder", "is a folder"),
+    ("pipe", "no regular file"), ("loop", "no file can have this name"), ("gone/x.json", "folder does not exist"),
+    ("file/x.json", "Not a directory"), ("/proc/x.json", "cannot be written"), ("/dev/null", "no regular file"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "reason"), UNWRITABLE)
 def test_what_cannot_be_written_is_named_with_the_reason(name: str, reason: str, tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").touch()
@@ -311,20 +301,17 @@ def test_grids_between_other_separators(tmp_path: Path, text: str, separator: st
     assert f"threats[0]: {note}" in load_input(tmp_path / "s.yaml").notes
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("0;0,5\n0;0.5\n", "line 1 has '0,5' and line 2 '0.5'"),
-        ("\n\n\n0;0\n0;0,5\n0;0\n0;0.5\n", "line 5 has '0,5' and line 7 '0.5'"),
-        ("0;1,234\n0;2,345\n", "line 1: '1,234' may be 1.234 or 1234"),
-        ("0;1.234,5\n", "line 1: '1.234,5' has marks between thousands"),
-        ("0,0,0,5\n0,0,0,2,5\n", "separate the columns by semicolons"),
-        (
-            "a;b\n0;1\n",
-            "line 1, column 0: 'a' is no number; expected numbers without a header, separated by semicolons",
-        ),
-    ],
-)
+AMBIGUOUS_GRIDS = [
+    ("0;0,5\n0;0.5\n", "line 1 has '0,5' and line 2 '0.5'"),
+    ("\n\n\n0;0\n0;0,5\n0;0\n0;0.5\n", "line 5 has '0,5' and line 7 '0.5'"),
+    ("0;1,234\n0;2,345\n", "line 1: '1,234' may be 1.234 or 1234"),
+    ("0;1.234,5\n", "line 1: '1.234,5' has marks between thousands"),
+    ("0,0,0,5\n0,0,0,2,5\n", "separate the columns by semicolons"),
+    ("a;b\n0;1\n", "line 1, column 0: 'a' is no number; expected numbers without a header, separated by semicolons"),
+]
+
+
+@pytest.mark.parametrize(("text", "words"), AMBIGUOUS_GRIDS)
 def test_grids_that_can_be_read_in_two_ways(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "w.csv").write_text(text)
     with pytest.raises(MapError) as caught:
@@ -441,55 +428,55 @@ def test_arrays_are_worlds(folder: Path) -> None:
 BAD_SIZES = (0, -1, math.nan, math.inf, 1e308, 1e-320, 2e6)
 
 
-@pytest.mark.parametrize(
-    ("keys", "names"),
-    [
-        ({"cellsize": 1}, "unknown key `cellsize`"),
-        (
-            {"moving_threats": [{"walk": 0.5, "h": "none"}]},
-            "`moving_threats[0].h` is 'none'; expected a chance, 0 to 1, or threats",
-        ),
-        ({"prior_map": {"p": 0.1}, "sensor_range": 1, "phases": [{"from": 2, "threats": []}]}, "leave out `phases`"),
-        ({"cell_sise": 1}, "did you mean 'cell_size'"),
-        *(({"cell_size": n}, f"`cell_size` is {n}; expected a number of metres, 1e-05 to 1e+06") for n in BAD_SIZES),
-        *(({"cell_size": size}, "`cell_size` is ") for size in (True, "1 m", "1:30", None, 10**400)),
-        ({"cell_size": 1.5}, "a whole number of pixels"),
-        ({"cell_size": 100}, "hold no cell"),
-        ({"unknown": "obstacles"}, "did you mean 'obstacle'"),
-        ({"combine": "sum"}, "product or max"),
-        ({"combine": ["max"]}, "`combine` is ['max']"),
-        *(({"levels": levels}, f"`levels` is {levels}") for levels in (1, 6.0, True)),
-        ({"threats": {"raster": "a"}}, "`threats` is {"),
-        ({"threats": "fire"}, "`threats` is 'fire'"),
-        ({"map": {}}, "`map` is {}"),
-        ({"map": 5}, "`map` is 5"),
-        ({"map": {"fil": "a.map"}}, "did you mean 'file'"),
-        ({"map": "gone.map"}, "no such file"),
-        ({"map": "s.yaml"}, "this is a scenario"),
-        ({"map": {"file": ["a.map"]}}, "`map.file` is ['a.map']"),
-        ({"map": {"file": "a\0b.map"}}, "no such file"),
-        ({"robots": 4}, "`robots` is 4"),
-        ({"robots": {}}, "a count, or starts"),
-        *(({"robots": {"count": n}}, f"`robots.count` is {n}; expected a whole") for n in (0, -2, 1025, 2.0, True)),
-        ({"robots": {"count": 2, "start": "upper-right"}}, "did you mean 'upper-left'"),
-        ({"robots": {"start": "upper-left"}}, "a count, or starts"),
-        ({"robots": {"count": 2, "starts": [[0, 0]]}}, "`robots.count` is 2; expected 1"),
-        ({"robots": {"starts": [[0, 0]], "start": "upper-left"}}, "not both start and starts"),
-        ({"robots": {"starts": []}}, "`robots.starts` is []"),
-        ({"robots": {"starts": [0, 0]}}, "`robots.starts[0]` is 0"),
-        ({"robots": {"starts": [[0, 0, 0]]}}, "`robots.starts[0]` is [0, 0, 0]"),
-        ({"robots": {"starts": [[0, 0.5]]}}, "`robots.starts[0][1]` is 0.5"),
-        ({"robots": {"starts": [[0, math.nan]]}}, "`robots.starts[0][1]` is nan"),
-        ({"robots": {"starts": [[1, 1]]}}, "robot 0 starts at [1, 1], an obstacle"),
-        ({"robots": {"starts": [[0, 0], [4, 0]]}}, "robot 1 starts at [4, 0], outside the map"),
-        ({"robots": {"starts": [[0, -1]]}}, "outside the map"),
-        ({"robots": {"starts": [[0, 10**30]]}}, "`robots.starts[0][1]`"),
-        ({"robots": {"starts_xy": [[-0.1, 0]]}}, "outside the map"),
-        ({"robots": {"starts_xy": [[1.5, 2.5]]}}, "[1, 1], an obstacle"),
-        ({"robots": {"starts_xy": [[1e300, 0]]}}, "outside the map"),
-        ({"robots": {"starts_xy": [[math.inf, 0]]}}, "`robots.starts_xy[0][0]` is inf"),
-    ],
-)
+WRONG_VALUES = [
+    ({"cellsize": 1}, "unknown key `cellsize`"),
+    (
+        {"moving_threats": [{"walk": 0.5, "h": "none"}]},
+        "`moving_threats[0].h` is 'none'; expected a chance, 0 to 1, or threats",
+    ),
+    ({"prior_map": {"p": 0.1}, "sensor_range": 1, "phases": [{"from": 2, "threats": []}]}, "leave out `phases`"),
+    ({"cell_sise": 1}, "did you mean 'cell_size'"),
+    *(({"cell_size": n}, f"`cell_size` is {n}; expected a number of metres, 1e-05 to 1e+06") for n in BAD_SIZES),
+    *(({"cell_size": size}, "`cell_size` is ") for size in (True, "1 m", "1:30", None, 10**400)),
+    ({"cell_size": 1.5}, "a whole number of pixels"),
+    ({"cell_size": 100}, "hold no cell"),
+    ({"unknown": "obstacles"}, "did you mean 'obstacle'"),
+    ({"combine": "sum"}, "product or max"),
+    ({"combine": ["max"]}, "`combine` is ['max']"),
+    *(({"levels": levels}, f"`levels` is {levels}") for levels in (1, 6.0, True)),
+    ({"threats": {"raster": "a"}}, "`threats` is {"),
+    ({"threats": "fire"}, "`threats` is 'fire'"),
+    ({"map": {}}, "`map` is {}"),
+    ({"map": 5}, "`map` is 5"),
+    ({"map": {"fil": "a.map"}}, "did you mean 'file'"),
+    ({"map": "gone.map"}, "no such file"),
+    ({"map": "s.yaml"}, "this is a scenario"),
+    ({"map": {"file": ["a.map"]}}, "`map.file` is ['a.map']"),
+    ({"map": {"file": "a\0b.map"}}, "no such file"),
+    ({"robots": 4}, "`robots` is 4"),
+    ({"robots": {}}, "a count, or starts"),
+    *(({"robots": {"count": n}}, f"`robots.count` is {n}; expected a whole") for n in (0, -2, 1025, 2.0, True)),
+    ({"robots": {"count": 2, "start": "upper-right"}}, "did you mean 'upper-left'"),
+    ({"robots": {"start": "upper-left"}}, "a count, or starts"),
+    ({"robots": {"count": 2, "starts": [[0, 0]]}}, "`robots.count` is 2; expected 1"),
+    ({"robots": {"starts": [[0, 0]], "start": "upper-left"}}, "not both start and starts"),
+    ({"robots": {"starts": []}}, "`robots.starts` is []"),
+    ({"robots": {"starts": [0, 0]}}, "`robots.starts[0]` is 0"),
+    ({"robots": {"starts": [[0, 0, 0]]}}, "`robots.starts[0]` is [0, 0, 0]"),
+    ({"robots": {"starts": [[0, 0.5]]}}, "`robots.starts[0][1]` is 0.5"),
+    ({"robots": {"starts": [[0, math.nan]]}}, "`robots.starts[0][1]` is nan"),
+    ({"robots": {"starts": [[1, 1]]}}, "robot 0 starts at [1, 1], an obstacle"),
+    ({"robots": {"starts": [[0, 0], [4, 0]]}}, "robot 1 starts at [4, 0], outside the map"),
+    ({"robots": {"starts": [[0, -1]]}}, "outside the map"),
+    ({"robots": {"starts": [[0, 10**30]]}}, "`robots.starts[0][1]`"),
+    ({"robots": {"starts_xy": [[-0.1, 0]]}}, "outside the map"),
+    ({"robots": {"starts_xy": [[1.5, 2.5]]}}, "[1, 1], an obstacle"),
+    ({"robots": {"starts_xy": [[1e300, 0]]}}, "outside the map"),
+    ({"robots": {"starts_xy": [[math.inf, 0]]}}, "`robots.starts_xy[0][0]` is inf"),
+]
+
+
+@pytest.mark.parametrize(("keys", "names"), WRONG_VALUES)
 def test_a_wrong_value_is_named(folder: Path, keys: dict, names: str) -> None:
     path = write(folder, **keys)
     with pytest.raises(InputError) as caught:
@@ -500,24 +487,18 @@ def test_a_wrong_value_is_named(folder: Path, keys: dict, names: str) -> None:
     assert str(folder) in message
 
 
-@pytest.mark.parametrize(
-    ("text", "names"),
-    [
-        ("map: {file: a.map\ncell_size: 1\n", "line 2"),
-        ("map: a.map\n\tlevels: 3\n", "line 2"),
-        ("map: a.map\nlevels: 3\nlevels: 4\n", "line 3: key 'levels' twice"),
-        ("map: !!python/object/apply:os.system ['true']\n", "line 1"),
-        ("map: *nowhere\n", "line 1"),
-        ("map: a.map\n---\nmap: b.map\n", "line 2"),
-        ("", "the file is None"),
-        ("- a\n- b\n", "the file is ['a', 'b']"),
-        ("mop: a.map\n", "did you mean 'map' by 'mop'"),
-        ("levels: 4\n", "neither a scenario nor a ROS map"),
-        ("levels: " + "[" * 5000, "YAML"),
-        ("# " + "x" * 2**20, "bytes"),
-        ("? [a, b]\n: 3\nmap: a.map\n", "line 1: found unhashable key"),
-    ],
-)
+MALFORMED = [
+    ("map: {file: a.map\ncell_size: 1\n", "line 2"), ("map: a.map\n\tlevels: 3\n", "line 2"),
+    ("map: a.map\nlevels: 3\nlevels: 4\n", "line 3: key 'levels' twice"),
+    ("map: !!python/object/apply:os.system ['true']\n", "line 1"), ("map: *nowhere\n", "line 1"),
+    ("map: a.map\n---\nmap: b.map\n", "line 2"), ("", "the file is None"), ("- a\n- b\n", "the file is ['a', 'b']"),
+    ("mop: a.map\n", "did you mean 'map' by 'mop'"), ("levels: 4\n", "neither a scenario nor a ROS map"),
+    ("levels: " + "[" * 5000, "YAML"), ("# " + "x" * 2**20, "bytes"),
+    ("? [a, b]\n: 3\nmap: a.map\n", "line 1: found unhashable key"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "names"), MALFORMED)
 def test_malformed_yaml_names_the_line(folder: Path, text: str, names: str) -> None:
     with pytest.raises(ScenarioError) as caught:
         load_input(write(folder, text))
@@ -550,14 +531,14 @@ def test_an_alias_bomb_is_harmless(folder: Path) -> None:
     assert time.perf_counter() - start < 2
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("map: a.map\nlevels: [" + "1," * 20_000 + "1]", "more than 20000 keys and values"),
-        ("map: a.map\n" + "".join(f"k{i}: &a{i} 1\n" for i in range(10_000)), "more than 20000 keys and values"),
-        ("# " + "x" * 2**18 + "\nmap: a.map", "more than 262144 bytes"),
-    ],
-)
+LARGE_YAML = [
+    ("map: a.map\nlevels: [" + "1," * 20_000 + "1]", "more than 20000 keys and values"),
+    ("map: a.map\n" + "".join(f"k{i}: &a{i} 1\n" for i in range(10_000)), "more than 20000 keys and values"),
+    ("# " + "x" * 2**18 + "\nmap: a.map", "more than 262144 bytes"),
+]
+
+
+@pytest.mark.parametrize(("text", "said"), LARGE_YAML)
 def test_large_yaml_is_refused_within_its_limits(folder: Path, text: str, said: str) -> None:
     with pytest.raises(ScenarioError, match=said):
         load_input(write(folder, text))
@@ -759,26 +740,26 @@ def test_sampled_cells_are_different_and_uniform() -> None:
     assert np.abs(hits - 400 / 3).max() < 5 * np.sqrt(400 * 1 / 3 * 2 / 3)
 
 
-@pytest.mark.parametrize(
-    ("pattern", "options", "names"),
-    [
-        (ThreatPattern(kind="round"), {}, "'round'"),  # type: ignore[arg-type]
-        (ThreatPattern(areas=0), {}, "areas=0"),
-        (ThreatPattern(levels=()), {}, "levels"),
-        (ThreatPattern(levels=(0.1, 1.0)), {}, "levels"),
-        (ThreatPattern(levels=(float("nan"),)), {}, "levels"),
-        (ThreatPattern(levels=(1e-60,)), {}, "expected probabilities 1e-30 <= p < 1"),
-        (ThreatPattern(levels=(1e300,)), {}, "levels"),
-        (ThreatPattern(seed=-1), {}, "seed=-1"),
-        (ThreatPattern(seed=2**64), {}, "seed"),
-        (ThreatPattern(), {"threats": 0.8}, "320 threats"),
-        (ThreatPattern(), {"obstacles": 1.0, "threats": 0.0}, "400 obstacles"),
-        (ThreatPattern(), {"obstacles": -0.1}, "obstacles=-0.1"),
-        (ThreatPattern(), {"threats": float("nan")}, "threats=nan"),
-        (ThreatPattern(), {"height": 0}, "0 x 20"),
-        (ThreatPattern(), {"height": 10**6, "width": 10**6}, "1000000 x 1000000"),
-    ],
-)
+WRONG_WORLDS = [
+    (ThreatPattern(kind="round"), {}, "'round'"),  # type: ignore[arg-type]
+    (ThreatPattern(areas=0), {}, "areas=0"),
+    (ThreatPattern(levels=()), {}, "levels"),
+    (ThreatPattern(levels=(0.1, 1.0)), {}, "levels"),
+    (ThreatPattern(levels=(float("nan"),)), {}, "levels"),
+    (ThreatPattern(levels=(1e-60,)), {}, "expected probabilities 1e-30 <= p < 1"),
+    (ThreatPattern(levels=(1e300,)), {}, "levels"),
+    (ThreatPattern(seed=-1), {}, "seed=-1"),
+    (ThreatPattern(seed=2**64), {}, "seed"),
+    (ThreatPattern(), {"threats": 0.8}, "320 threats"),
+    (ThreatPattern(), {"obstacles": 1.0, "threats": 0.0}, "400 obstacles"),
+    (ThreatPattern(), {"obstacles": -0.1}, "obstacles=-0.1"),
+    (ThreatPattern(), {"threats": float("nan")}, "threats=nan"),
+    (ThreatPattern(), {"height": 0}, "0 x 20"),
+    (ThreatPattern(), {"height": 10**6, "width": 10**6}, "1000000 x 1000000"),
+]
+
+
+@pytest.mark.parametrize(("pattern", "options", "names"), WRONG_WORLDS)
 def test_worlds_that_cannot_be(pattern: ThreatPattern, options: dict, names: str) -> None:
     with pytest.raises(WorldError) as caught:
         random_world(pattern=pattern, **options)
