@@ -583,7 +583,6 @@ def test_searching_drones(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert 0.85 < search.likelihood(search.paths) / SEARCH["swept"](heat, 60) < 1
     last = search.last_moves(0.3, 4000)
     assert abs((last > search.moves).mean() - 0.7) < 5 * np.sqrt(0.21 / last.size)
-    cut = [[path[: move + 1] for path, move in zip(search.paths, of, strict=True)] for of in last[:4]]
-    assert search.flown(0.3, 4, "open").tolist() == [search.likelihood(paths) for paths in cut]
-    fixed, closed, again = spare.flown(0.5, 8, "open"), spare.flown(0.5, 8, "closed"), spare.replanned(0.5, 8)
+    assert (search.flown(0.3, 4, "open") == search.fixed(0.3, 4)).all()
+    fixed, closed, again = spare.fixed(0.5, 8), spare.reallocated(0.5, 8), spare.replanned(0.5, 8)
     assert min(closed.mean(), again.mean()) > fixed.mean() + 0.01 and max(closed.max(), again.max()) <= heat.sum()
