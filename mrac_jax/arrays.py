@@ -29,18 +29,21 @@ def uint64_pairs(units: NDArray[np.int64]) -> NDArray[np.uint32]:
     return np.stack([units >> WORD, units & (2**WORD - 1)], axis=-1).astype(np.uint32)
 
 
+@jax.jit
 def is_reached(left: jax.Array, exposure: jax.Array) -> jax.Array:
     """Whether the hazard reaches the remaining threshold, bool `[..]` of `[.., 2]`."""
     more, as_much = exposure[..., 0] > left[..., 0], exposure[..., 0] == left[..., 0]
     return more | (as_much & (exposure[..., 1] >= left[..., 1]))
 
 
+@jax.jit
 def less(left: jax.Array, exposure: jax.Array) -> jax.Array:
     """The remaining threshold after a hazard that does not reach it, `[.., 2]`."""
     borrow = (left[..., 1] < exposure[..., 1]).astype(jnp.uint32)
     return jnp.stack([left[..., 0] - exposure[..., 0] - borrow, left[..., 1] - exposure[..., 1]], axis=-1)
 
 
+@jax.jit
 def threshold_pairs(word: jax.Array) -> jax.Array:
     """Failure thresholds of robots, uint32 `[.., 2]`, from random words, uint32 `[..]`:
     `planner.simulator.thresholds.threshold_of`."""
@@ -55,6 +58,7 @@ def threshold_pairs(word: jax.Array) -> jax.Array:
 # `jax.random` is not used: flags change its streams, and its Threefry never fuses on a CPU (a tenth of the speed).
 
 
+@jax.jit
 def threefry2x32(key: jax.Array, counter0: jax.Array, counter1: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Words (x0, x1) of one counter. All uint32: key `[2]` (low half of the seed first), counters and words scalars."""
     schedule = (key[0], key[1], key[0] ^ key[1] ^ jnp.uint32(KEY_PARITY))

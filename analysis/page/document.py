@@ -223,5 +223,5 @@ def described(png: bytes, name: str) -> tuple[str, Html]:
     with Image.open(io.BytesIO(png)) as image:
         words = image.info.get("Description") or name.replace("_", " ")
         few = image.convert("RGB").quantize(COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-    few.save(out, format="png", optimize=True)
+    few.save(out, format="png", compress_level=7)  # a twentieth larger than at 9, in a third of the time
     return words, Html("data:image/png;base64," + base64.b64encode(out.getvalue()).decode())

@@ -20,7 +20,7 @@ from planner.rollouts.closed_loop import compile_closed_loop, logged_rollouts, t
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.runners import Runner
 from planner.rollouts.tables import first_frames
-from planner.simulator.areas import FRAME_ROWS, Log
+from planner.simulator.areas import FRAME_AREA, FRAME_DOING, FRAME_ROWS, Log
 from planner.simulator.codes import ACTS, LANDING, NO_AREA, NO_ROBOT, NONE, STARTING, Doing, EventKind, Outcome
 from planner.simulator.jit import interpreted
 from planner.simulator.state import AREA_BITS, MOST_NARROW, SURVIVED, TO_DO, VISITED, State, Work, first_room, make_work
@@ -32,6 +32,7 @@ Hit = Callable[[int, int, int], bool]
 """`hit(robot, step, cell)`: whether the robot is lost as it enters the cell at this step."""
 OWN = "left", "at", "met", "begin"
 """Scratch arrays that belong to the rollout, not to the world."""
+TRAVELING, COVERING = int(Doing.TRAVELING), int(Doing.COVERING)  # an array takes long to compare with an enum's member
 NOT_BEGUN = -1
 """The step before t = 0, at which robots enter their starts."""
 
@@ -295,8 +296,11 @@ class SingleRun:
     def frame(self) -> NDArray[np.int32]:
         """Cell, doing and area of each robot at the end of a step: int32 `[3, K]`, as in `Log.frames`."""
         robots = self.raw.robots
-        has_area = (robots["doing"] == Doing.TRAVELING) | (robots["doing"] == Doing.COVERING)
-        return np.stack([robots["cell"], robots["doing"], np.where(has_area, robots["area"], NO_AREA)])
+        frame = np.empty((FRAME_ROWS, len(robots)), np.int32)
+        frame[:] = robots["cell"], robots["doing"], robots["area"]
+        doing = frame[FRAME_DOING]
+        frame[FRAME_AREA, (doing != TRAVELING) & (doing != COVERING)] = NO_AREA
+        return frame
 
     def doing(self, robot: int) -> Doing:
         """The status of the robot."""
@@ -305,9 +309,7 @@ class SingleRun:
 
     def area(self, robot: int) -> int:
         """The id of the robot's area, NO_AREA if it has none."""
-        return (
-            int(self.raw.robots["area"][robot]) if self.doing(robot) in (Doing.TRAVELING, Doing.COVERING) else NO_AREA
-        )
+        return int(self.raw.robots["area"][robot]) if self.doing(robot) in (TRAVELING, COVERING) else NO_AREA
 
     def to_do(self, robot: int) -> NDArray[np.int64]:
         """The cells that the robot's coverage path still has to reach; no leg crosses one of them."""

@@ -14,7 +14,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload, register_jitable
 
-from .jit import UNCOUNTED, kernel, program, rare_kernel
+from .jit import UNCOUNTED, kernel, rare_kernel, scalar
 from .state import highest_bit
 from .thresholds import LOGARITHMS, MOST, exp1_hazard, log_units, threefry2x32
 
@@ -153,7 +153,7 @@ MANY, SOME = (0,) * (4 * GROUP), (0,) * GROUP
 """Lanes that keep a core busy, and the fewest that are worth a vector."""
 
 
-@program
+@scalar
 def threefry(key0, key1, counter0, counter1):
     """Words (x0, x1) of Threefry-2x32 with 20 rounds; equal to `planner.simulator.thresholds.threefry2x32`.
 

@@ -4,8 +4,6 @@ A robot travels to the cheapest cell of its area, visited or not. It then covers
 arrived.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from .areas import ALLOCATED_EVENT, find_next_area, give, has_area, moves_on, note, share, waits

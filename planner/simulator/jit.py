@@ -28,6 +28,7 @@ from typing import Any, TypeVar
 
 import llvmlite  # type: ignore[import-untyped]
 import numba
+import numpy as np
 from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
@@ -169,6 +170,9 @@ class FunctionCache(NullCache):
     raised.
     """
 
+    has_read = False
+    """Whether this process has read some function's code, so that Numba is ready for more."""
+
     def __init__(self, function: Callable[..., Any], folder: CacheFolder) -> None:
         code = function.__code__
         self.folder = folder
@@ -181,6 +185,7 @@ class FunctionCache(NullCache):
         try:
             target_context.refresh()
             content = self.folder.read(self._file(sig, target_context.codegen()))
+            FunctionCache.has_read = True
             return None if content is None else CompileResult._rebuild(target_context, *pickle.loads(content))
         except Exception:  # complete and this user's, but not usable by this Numba
             self.folder.report("is compiled again: it was damaged")
@@ -216,6 +221,10 @@ LARGE = 2**12
 """Cells of a map from which on its searches are compiled at once."""
 MOST_CELLS = 2**17
 """Cells, summed over its calls, after which a search is compiled: as Python they have taken about as long."""
+COLD_SHIFT, WARM_SHIFT = 2, 6
+"""How many times it is halved where the code is in the cache: to read it takes .3 s in a process, then some 10 ms."""
+A_NUMBER = 32
+"""Cells that a call without arrays counts as, `planner.simulator.failure_sampling.threefry`."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -237,36 +246,31 @@ def threaded(function: Function) -> Function:
 
 
 def host_search(function: Function) -> Function:
-    """Decorator like `threaded`, for a loop over arrays that the planner calls: it runs as Python for small inputs.
-
-    Code in the cache is used at once.
-    """
+    """Decorator like `threaded`, for a loop over arrays that the planner calls: it runs as Python for small inputs."""
     if INTERPRETED:
         return function
     compiled = threaded(function)
-    cached = cache(lambda: is_cached(compiled))
 
     def as_python(*given: Any) -> Any:
-        if cached():
-            return compiled(*given)
         return getattr(interpreted(function.__module__.rpartition(".")[2]), function.__name__).py_func(*given)
 
-    return as_work_grows(as_python, compiled)
+    return as_work_grows(as_python, lambda: compiled)
 
 
-def as_work_grows(as_python: Callable[..., Any], compiled: Callable[..., Any]) -> Any:
-    """A function that calls `as_python` while its inputs are small, and `compiled` from then on.
+def as_work_grows(as_python: Callable[..., Any], compiled: Callable[[], Any]) -> Any:
+    """A function that calls `as_python` while its inputs are small, and `compiled()` from then on.
 
-    The limits are `LARGE` and `MOST_CELLS`.
+    The limits are `LARGE`, and `MOST_CELLS`, less where the code is in the cache.
     """
-    done = 0
+    done, cached = 0, cache(lambda: is_cached(compiled()))
 
     def call(*given: Any) -> Any:
         nonlocal done
-        if done <= MOST_CELLS:
-            cells = next(len(one) for one in given if hasattr(one, "__len__"))
+        most = MOST_CELLS >> (COLD_SHIFT if not FunctionCache.has_read else WARM_SHIFT) * cached()
+        if done <= most:
+            cells = next((len(one) for one in given if hasattr(one, "__len__")), A_NUMBER)
             done += 2 * MOST_CELLS if cells >= LARGE else cells
-        return (as_python if done <= MOST_CELLS else compiled)(*given)
+        return as_python(*given) if done <= most else compiled()(*[getattr(one, "array", one) for one in given])
 
     return call
 
@@ -279,6 +283,10 @@ def program(function: Function) -> Function:
     parts may be negative: Numba's test for that is left out.
     """
     return _cached(function, nogil=True, **UNCOUNTED, pipeline_class=PROGRAM)
+
+
+scalar = program
+"""Decorator: a `program` of numbers alone, which the simulator as Python calls as well."""
 
 
 def kernel(function: Function) -> Function:
@@ -318,6 +326,19 @@ def is_cached(function: Callable[..., Any]) -> bool:
     return isinstance(cache, FunctionCache) and any(cache.folder.path.glob(f"{cache.name}-*"))
 
 
+KINDS: dict[Any, tuple[Any, ...]] = {}
+"""Numba's types of arguments, by their `_form`."""
+
+
+def _form(value: Any) -> Any:
+    """What Numba's type of a value follows from: two values with the same form have the same type."""
+    if isinstance(value, tuple):
+        return type(value), *map(_form, value)
+    if isinstance(value, np.ndarray):
+        return value.dtype, value.ndim, value.flags.num
+    return value if callable(value) else type(value)
+
+
 def has_program(function: Any, given: tuple[Any, ...], cached: bool) -> bool:
     """Whether compiled code exists for a call with these arguments.
 
@@ -326,7 +347,9 @@ def has_program(function: Any, given: tuple[Any, ...], cached: bool) -> bool:
         given: its arguments.
         cached: whether code in the cache counts too, not only that of this process.
     """
-    kinds, cache = tuple(map(numba.typeof, given)), getattr(function, "_cache", None)
+    form, cache = _form(given), getattr(function, "_cache", None)
+    # Numba takes milliseconds for the types of some hundred arrays, and they are few.
+    kinds = KINDS.get(form) or KINDS.setdefault(form, tuple(map(numba.typeof, given)))
     if kinds in getattr(function, "overloads", ()):  # Numba may be switched off
         return True
     return cached and isinstance(cache, FunctionCache) and cache.has(kinds, function.targetctx)
@@ -368,7 +391,8 @@ def interpreted(module: str) -> Any:
         package, plain = module_from_spec(spec), ModuleType(f"{NAME}.jit")
         vars(plain).update(globals() | dict.fromkeys(SAME, _same))
         vars(plain).update(threaded=_compiled, compiled=_compiled, INTERPRETED=True)
-        vars(plain).update(search=_search, host_search=_host_search)
+        vars(plain).update(search=_growing(lambda part: program(_compiled(part).py_func)), scalar=_growing(_compiled))
+        vars(plain).update(host_search=_host_search)
         sys.modules |= {NAME: package, f"{NAME}.jit": plain}
         spec.loader.exec_module(package)
     return import_module(f"{NAME}.{module}")
@@ -394,11 +418,6 @@ def _host_search(function: Any) -> Any:
     return function if INTERPRETED else call
 
 
-def _search(function: Any) -> Any:
-    """A loop over arrays: as Python while its inputs are small, then compiled."""
-    alone = cache(lambda: program(_compiled(function).py_func))
-
-    def compiled(*given: Any) -> Any:
-        return alone()(*[getattr(one, "array", one) for one in given])
-
-    return function if INTERPRETED else as_work_grows(function, compiled)
+def _growing(find: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Decorator: runs as Python for small inputs or the first calls, then as the program that `find` makes of it."""
+    return lambda function: function if INTERPRETED else as_work_grows(function, cache(lambda: find(function)))

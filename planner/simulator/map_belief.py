@@ -5,8 +5,6 @@ split. A cell in no area (an obstacle, out of reach, or left over) has the area 
 robot heads for it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from .areas import SURPRISED_EVENT, close, has_area, note, reopen, room_of
@@ -472,7 +470,7 @@ def read(t, s, how, rollout, robot):
     for place in range(t.view_begin[here], t.view_begin[here + 1]):
         cell = np.int64(t.in_view[place])
         there = own_word(t, how, rollout, cell) < t.there[cell] and not (t.spends and holds(s.spent, cell))
-        word = threefry(key0, key1, np.uint32(robot), t.own_counter[cell])[0] >> np.uint32(8)
+        word = threefry(np.uint32(key0), np.uint32(key1), np.uint32(robot), t.own_counter[cell])[0] >> np.uint32(8)
         alarm = np.int64(word) < t.lessons[DETECTS if there else ERRS]
         add(s, cell, t.lessons[ALARM] if alarm else -t.lessons[SILENCE])
 

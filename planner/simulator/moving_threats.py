@@ -4,8 +4,6 @@ Positions of threats differ from rollout to rollout and do not depend on the rob
 at the step of its group.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from .codes import ACTS, DEAD, GROUP_SPLITS, HIT

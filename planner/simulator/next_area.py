@@ -1,7 +1,5 @@
 """The next area of a robot that re-evaluates: unassigned areas as offers. Targets are the cheapest unvisited cells."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from .areas import any_to_share, costs_from, has_area, is_within, make_lowest, may_be_shared

@@ -4,8 +4,6 @@ Ways to base are tables: `Tables.home_of`, `home_steps`, `home_cost`, `onward`. 
 return.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from .codes import NONE

@@ -4,8 +4,6 @@ From t = 0 on a robot with an area is TRAVELING, and one without is IDLE. Its ce
 area: a visit removes TO_DO from a cell (SPEC section 11).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from .areas import (

@@ -1,7 +1,5 @@
 """Robots at the end of their range or on the return to base (SPEC section 19), and cached coverage paths."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from .areas import (

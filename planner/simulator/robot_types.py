@@ -5,8 +5,6 @@ speeds a robot has a turn in every `pace`-th step, and its moves are counted in 
 robots.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from .codes import DEAD

@@ -4,8 +4,6 @@ The general loop (`planner.simulator.step`) takes every decision. These loops on
 due: a possible loss, or the end of an area, a leg or the robot's range.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from .codes import COVERING, FOLLOWING, NONE, TRAVELING

@@ -10,8 +10,6 @@ Arguments, in all modules of this package: `t` tables (read by every rollout), `
 `robot` and `cell` indices. A feature that the mission does not use is None in `t`: no code is compiled for it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from . import fixed_paths, replanning

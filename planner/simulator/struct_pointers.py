@@ -7,6 +7,7 @@ that it has stored.
 
 from __future__ import annotations
 
+import ctypes
 import functools
 from collections.abc import Callable
 from typing import Any
@@ -117,48 +118,30 @@ def _hand(typing_context: Any, values: Any) -> Any:
 class Records(dict[int, Any]):
     """A structured array for code that is not compiled: elements have their fields as attributes.
 
-    Fields are read through memory views: NumPy's records take microseconds per field. Elements are made on first use.
+    Fields are read as those of a C structure in the array's memory: NumPy's records take microseconds per field.
+    Elements are made on first use.
     """
 
     def __init__(self, array: NDArray[np.void]) -> None:
         super().__init__()
         self.array = array
-        self._views = tuple(memoryview(array[name].data) for name in array.dtype.names or ())
-        self._kind = _record_kind(array.dtype.names or ())
+        self._kind, self._bytes = _structure(array.dtype), array.view(np.uint8)
 
     def __missing__(self, place: int) -> Any:
-        self_place = int(place)
+        record = self._kind.from_buffer(self._bytes, int(place) * self.array.itemsize)
         # Kept for the next access: a rollout reads the same few records millions of times.
-        record = self._kind(self._views, self_place)
-        super().__setitem__(self_place, record)
+        super().__setitem__(place, record)
         return record
 
     def __len__(self) -> int:
         return len(self.array)
 
     def __setitem__(self, place: int, record: Any) -> None:
-        for field in type(record).FIELDS:
-            setattr(self[place], field, getattr(record, field))
+        ctypes.pointer(self[place])[0] = record
 
 
-@functools.cache
-def _record_kind(names: tuple[str, ...]) -> type:
-    """The class of records with these fields."""
-
-    def field(number: int) -> property:
-        def load(self: Any) -> int:
-            return self.views[number][self.place]
-
-        def store(self: Any, value: Any) -> None:
-            self.views[number][self.place] = int(value)
-
-        return property(load, store)
-
-    def begin(self: Any, views: tuple[memoryview, ...], place: int) -> None:
-        self.views, self.place = views, int(place)
-
-    fields: dict[str, Any] = {name: field(number) for number, name in enumerate(names)}
-    return type("Record", (), {"__slots__": ("place", "views"), "FIELDS": names, "__init__": begin, **fields})
+_structure: Callable[[Any], Any] = functools.cache(np.ctypeslib.as_ctypes_type)
+"""The C structure with the fields of a record's type."""
 
 
 def with_records(values: Any) -> Any:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 # A draw is addressed by (seed, rollout, robot), so it never depends on earlier draws (SPEC section 6).
 
 ROTATIONS = (13, 15, 26, 6, 17, 29, 16, 24)
+SHIFTS = [(np.uint32(left), np.uint32(32 - left)) for left in ROTATIONS]
 KEY_PARITY = 0x1BD11BDA
 
 
@@ -32,17 +33,22 @@ def threefry2x32(
     """
     key0, key1 = np.uint32(key[0]), np.uint32(key[1])
     schedule = (key0, key1, key0 ^ key1 ^ np.uint32(KEY_PARITY))
+    words = np.broadcast_arrays(np.asarray(counter0, np.uint32), np.asarray(counter1, np.uint32))
     with np.errstate(over="ignore"):
-        x0, x1 = np.broadcast_arrays(np.asarray(counter0, np.uint32), np.asarray(counter1, np.uint32))
-        x0, x1 = x0 + schedule[0], x1 + schedule[1]
+        # In place, which halves the time; numbers get an axis, because they cannot be changed in place.
+        x0, x1 = (np.atleast_1d(word + half) for word, half in zip(words, schedule, strict=False))
+        turned = np.empty_like(x1)
         for group in range(5):
-            for rotation in ROTATIONS[4 * (group % 2) : 4 * (group % 2) + 4]:
-                x0 = x0 + x1
-                x1 = (x1 << np.uint32(rotation)) | (x1 >> np.uint32(32 - rotation))
-                x1 = x1 ^ x0
-            x0 = x0 + schedule[(group + 1) % 3]
-            x1 = x1 + schedule[(group + 2) % 3] + np.uint32(group + 1)
-    return x0, x1
+            for left, right in SHIFTS[4 * (group % 2) : 4 * (group % 2) + 4]:
+                x0 += x1
+                np.right_shift(x1, right, out=turned)
+                x1 <<= left
+                x1 |= turned
+                x1 ^= x0
+            x0 += schedule[(group + 1) % 3]
+            x1 += schedule[(group + 2) % 3] + np.uint32(group + 1)
+    shape = words[0].shape
+    return x0.reshape(shape)[()], x1.reshape(shape)[()]
 
 
 UNIT = 2**32

@@ -1,7 +1,5 @@
 """Effects of a visit: cells covered and survived, areas completed, a robot lost."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from .areas import COMPLETED_EVENT, HIT_EVENT, close, has_area, note
