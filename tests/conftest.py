@@ -61,10 +61,8 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.setdefault("XLA_FLAGS", flags)
     several = (config.getoption("numprocesses", None) or 0) > 1 and not config.getoption("collectonly")
     if several and config.args_source is config.ArgsSource.TESTPATHS:  # the controller's alone: workers have no number
-        import warm
-
-        cold = [rule for rule in ("mrac", "per_cell") if not warm.is_warm(rule)]
-        for running in [subprocess.Popen([sys.executable, warm.__file__, rule]) for rule in cold]:
+        script = Path(__file__).parent / "warm.py"
+        for running in [subprocess.Popen([sys.executable, script, rule]) for rule in ("mrac", "per_cell")]:
             running.wait()
 
 

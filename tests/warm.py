@@ -6,7 +6,6 @@ from typing import Any
 from planner.make_plan import allocated_plan
 from planner.rollouts.closed_loop import compile_closed_loop, nominal_loop, run_range
 from planner.rollouts.loop import ClosedLoop
-from planner.rollouts.runners import Runner
 from planner.rollouts.single_run import play_compiled
 from planner.settings import Settings
 from planner.world.generate import ThreatPattern, random_world
@@ -25,16 +24,8 @@ def run_nominal(rule: str) -> None:
     play_compiled(nominal_loop(loop_of(rule)))
 
 
-EACH: tuple[dict[str, Any], ...] = ({}, {"transit": "area"}, {"weibull_shape": 2.0})
-"""A plain mission, one that searches for distances, and one with all features: a program each."""
-
-
-def is_warm(rule: str) -> bool:
-    """Whether the cache has the programs, so that no process need look after them."""
-    return all(Runner(loop_of(rule, **settings), 0, 1).is_compiled(cached=True) for settings in EACH)
-
-
 if __name__ == "__main__":
     run_nominal(sys.argv[1])
-    for settings in EACH:
+    # A plain mission, one that searches for distances, and one with all features.
+    for settings in ({}, {"transit": "area"}, {"weibull_shape": 2.0}):
         run_range(loop_of(sys.argv[1], **settings), 0, 0, 64, threads=1, singles=True)
