@@ -14,7 +14,7 @@ from numba.core.compiler import Compiler
 from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.ir_utils import get_definition, guard
 from numba.core.types.containers import BaseNamedTuple
-from numba.core.types.misc import NoneType
+from numba.core.types.misc import NoneType, Omitted, Optional
 from numba.core.untyped_passes import InlineInlinables, WithLifting
 
 
@@ -52,7 +52,9 @@ def _constant(code: Any, kinds: Any, value: Any) -> bool | None:
     if value.op == "binop" and value.fn in (operator.is_, operator.is_not):
         mine, other = (guard(get_definition, code, side) for side in (value.lhs, value.rhs))
         kind = _kind(code, kinds, mine)
-        if kind is not None and isinstance(other, ir.Const) and other.value is None:
+        # A value that is optional, or left out, may be None: Numba decides.
+        known = kind is not None and not isinstance(kind, Optional | Omitted)
+        if known and isinstance(other, ir.Const) and other.value is None:
             return isinstance(kind, NoneType) == (value.fn is operator.is_)
     return None
 
