@@ -557,10 +557,11 @@ def export(
     """
     from analysis.exporting import choose_format
     from analysis.exporting import export as write
+    from analysis.exporting.mission import make_mission
 
     form, ground = choose_format(Path(out), to), None if terrain is None else Path(terrain)
-    done = write(*plan_of(world, plan), Path(out), form, altitude, speed, ground, battery, force=force)
-    return done[0]
+    mission = make_mission(*plan_of(world, plan), altitude, speed, ground, battery)
+    return write(mission, Path(out), form, force=force)[0]
 
 
 # Mission execution.

@@ -40,6 +40,7 @@ def plan(source: INPUT, /, given: Given) -> int:
     """The plan of a team: print it, and write it as a file or as waypoints."""
     from analysis.exporting import choose_format
     from analysis.exporting import export as write
+    from analysis.exporting.mission import make_mission
     from analysis.inputs import read_files
 
     out, waypoints, state = given.out, given.waypoints, given.state
@@ -54,7 +55,7 @@ def plan(source: INPUT, /, given: Given) -> int:
     written = [] if out is None else [out]
     if waypoints is not None and form is not None:
         spare = read_files(source, state, out)
-        files, notes = write(world, made, waypoints, form, given.altitude, given.speed, spare=spare)
+        files, notes = write(make_mission(world, made, given.altitude, given.speed), waypoints, form, spare=spare)
         written += files
         say(notes)
     if out is not None:
@@ -82,12 +83,13 @@ def export(source: INPUT, /, given: Given) -> int:
     """
     from analysis.exporting import choose_format
     from analysis.exporting import export as write
+    from analysis.exporting.mission import make_mission
     from analysis.inputs import read_files
 
     form = choose_format(given.out, given.to)
     spare = read_files(source, given.plan, given.state, given.terrain)
-    flown = given.altitude, given.speed, given.terrain, given.battery
-    files, notes = write(*given.planned(source), given.out, form, *flown, spare=spare)
+    mission = make_mission(*given.planned(source), given.altitude, given.speed, given.terrain, given.battery)
+    files, notes = write(mission, given.out, form, spare=spare)
     say([*notes, *(f"wrote {file}" for file in files)])
     return console.DONE
 

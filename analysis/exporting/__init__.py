@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.exporting.flight import cot, fence_note, nav2_poses, nav2_route, qgc_plan, wpml, xml_text
-from analysis.exporting.mission import KML, Feature, Mission, Position, colour_of, features, make_mission, paths
+from analysis.exporting.mission import KML, Feature, Mission, Position, colour_of, features, paths
 from analysis.utils.tables import make_folder
 from planner.arguments import argument, did_you_mean
 from planner.errors import UsageError
 from planner.files import Json, atomic_write, check_new, printable
-from planner.plan.plan import Plan, waypoints_csv
+from planner.plan.plan import waypoints_csv
 from planner.world.frame import Frame, Georeference
 from planner.world.raster_bands import affine
 from planner.world.world import World
@@ -250,24 +250,13 @@ def _check_not_read(file: Path, read: set[Path]) -> None:
 
 
 def export(
-    world: World,
-    plan: Plan,
-    out: Path,
-    form: Format,
-    altitude: float | None = None,
-    speed: float | None = None,
-    terrain: Path | None = None,
-    battery: float | None = None,
-    *,
-    spare: Iterable[Path] = (),
-    force: bool = True,
+    mission: Mission, out: Path, form: Format, *, spare: Iterable[Path] = (), force: bool = True
 ) -> tuple[list[Path], tuple[str, ...]]:
-    """Write a plan in a format. Nothing is written unless all contents can be made.
+    """Write a mission in a format. Nothing is written unless all contents can be made.
 
     Args:
-        world, plan: the map and the paths on it.
+        mission: as `make_mission` returns it.
         out, form: a file or a folder, and the format.
-        altitude, speed, terrain, battery: as of `make_mission`.
         spare: files that were read, apart from the map.
         force: whether existing files are replaced.
 
@@ -275,16 +264,15 @@ def export(
         (files, notes).
 
     Raises:
-        InputError: a map without georeference, an altitude out of range, a file that cannot be written, that was read,
-            or that exists, without `force`; an option that the format ignores.
+        InputError: a map without georeference, a file that cannot be written, that was read, or that exists, without
+            `force`; an option that the format ignores.
     """
-    for option, value in (("terrain", terrain), ("battery", battery)):
-        if value is not None and option not in form.takes:
+    for option in ("terrain", "battery"):
+        if getattr(mission, option) is not None and option not in form.takes:
             able = " or ".join(name for name, one in FORMATS.items() if option in one.takes)
             raise UsageError(f"{argument(option)} with a format that ignores it", expected=able, fix="leave it out")
-    read = {file.resolve() for file in (Path(world.source), *spare)}
+    read = {file.resolve() for file in (Path(mission.world.source), *spare)}
     _check_not_read(out, read)
-    mission = make_mission(world, plan, altitude, speed, terrain, battery)
     # All contents exist before the first file is written.
     contents = form.make(mission)
     files = {form.name(out, label, len(contents)): content for label, content in contents.items()}

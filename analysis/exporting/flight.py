@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, timedelta
 from uuid import NAMESPACE_URL, uuid5
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
@@ -188,7 +188,7 @@ MOST_WAYPOINTS = 99
 BENT = 1.0
 """Metres by which the ground may leave the straight line between two waypoints."""
 HEIGHTS, SPEEDS = Numbers(2, 1500, "metres above the ground for wpml"), Numbers(0, 15, "m/s for wpml", above=True)
-"""That DJI drones fly at."""
+"""Altitudes and speeds that DJI drones accept."""
 CONFIG: Json = {
     "flyToWaylineMode": "safely", "finishAction": "goHome", "exitOnRCLost": "executeLostAction",
     "executeRCLostAction": "goBack",
@@ -218,7 +218,7 @@ def wpml(mission: Mission) -> dict[str, bytes]:
 
 
 def _flights(mission: Mission, robot: int) -> Iterator[list[Stop]]:
-    """The stops of each flight. A flight begins and ends at the robot's start, and the next one where it broke off."""
+    """The stops of each flight, which begins and ends at the robot's start; the next continues from the last stop."""
     stops, cell = _profile(mission, robot), mission.world.cell_size
     points = mission.world.to_xy(np.array([stop.cell for stop in stops]))
     away, legs = np.linalg.norm(points - points[0], axis=1), np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -356,7 +356,7 @@ def cot(mission: Mission) -> bytes:
             name = feature.name if len(feature.parts) == 1 else f"{feature.name}.{number}"
             look = _area(feature, part[0]) if feature.is_area else _route(feature, part[0], name)
             shapes.append((name, part[0][0], *look, feature.facts))
-    package, files, entries, now = f"mrac-jax:{mission.world.sha256}", {}, [], datetime.now(UTC)
+    package, files, entries, now = f"mrac-jax:{mission.world.sha256}", {}, [], mission.now.astimezone(UTC)
     moments = {"time": now, "start": now, "stale": now + timedelta(days=STALE_DAYS)}
     times = {f"@{key}": moment.strftime("%Y-%m-%dT%H:%M:%SZ") for key, moment in moments.items()}
     for name, (east, north), kind, details, facts in shapes:

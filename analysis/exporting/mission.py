@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -52,14 +53,16 @@ class Mission:
         speed: metres a second.
         terrain: float64 `[H, W]`, metres, height of the ground at the cells' centres (NaN: not known), or None.
         battery: minutes that a robot flies with one battery, or None.
+        now: the time of the export, with a time zone.
     """
 
     world: World
     plan: Plan
     altitude: float
     speed: float
-    terrain: NDArray[np.float64] | None = None
-    battery: float | None = None
+    terrain: NDArray[np.float64] | None
+    battery: float | None
+    now: datetime
 
     @cached_property
     def exact(self) -> OpenLoopExact:
@@ -128,8 +131,11 @@ def make_mission(
     speed: float | None = None,
     terrain: Path | None = None,
     battery: float | None = None,
+    now: datetime | None = None,
 ) -> Mission:
-    """A checked mission. None: ALTITUDE; the speed that the world implies, else SPEED; level ground; no limit.
+    """A checked mission.
+
+    None: ALTITUDE; the speed that the world implies, else SPEED; level ground; no limit; the time of the call.
 
     Raises InputError: an altitude, speed or battery out of range, a plan of another map, a raster `terrain` without
     heights somewhere on the paths.
@@ -143,7 +149,7 @@ def make_mission(
     plan.require(world)
     # The raster is opened after these checks.
     ground = None if terrain is None else ground_heights(world, plan, terrain)
-    return Mission(world, plan, altitude, speed, ground, battery)
+    return Mission(world, plan, altitude, speed, ground, battery, now or datetime.now(UTC))
 
 
 def ground_heights(world: World, plan: Plan, raster: Path) -> NDArray[np.float64]:

@@ -37,7 +37,7 @@ from planner.tally import Tally
 from planner.world.generate import PAPER_LEVELS, Kind, ThreatPattern, random_world
 from planner.world.keys import Key
 from planner.world.scenario import read_on, read_scenario
-from planner.world.start_rule import BEFORE, NOW, check_same_team, place_starts, rules_of
+from planner.world.start_rule import BEFORE, check_same_team, place_starts, rules_of
 from planner.world.world import World, check_starts
 
 if TYPE_CHECKING:
@@ -507,7 +507,6 @@ def facts_of(team: Team, plan: Plan, most: int | None = None) -> Json:
         "ideal_team": ideal_team(threat, robots) if ideal else None,
         "makespan": plan.makespan,
         "longest": longest_run(world, plan, "closed", most),
-        "rules": NOW,
         "nominal": {"outcome": plan.outcome, "time": plan.time, "shares": plan.shares},
         **({"deadline": plan.settings.deadline} if plan.settings and plan.ends_by_deadline else {}),
     }

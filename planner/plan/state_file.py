@@ -356,9 +356,11 @@ class Track(NamedTuple):
     """The places of a robot; a reader may give several of one robot, and other coordinates.
 
     Attributes:
-        name: of the robot. times: `[n]`, seconds, or steps; of a reader numbers or texts; None: not known.
-        points: float64 `[n, 2]`, (x, y), metres, map frame; of a reader in the CRS `crs`, x or longitude first.
-        crs: of the points; "": metres of the map frame. status: "idle", "done", or "dead": the robot is lost.
+        name: of the robot.
+        times: `[n]`, seconds or steps, as numbers or, before they are checked, texts; None: not known.
+        points: float64 `[n, 2]`, (x, y) or (longitude, latitude) in `crs`.
+        crs: of the points; "": metres of the map frame.
+        status: "idle", "done", or "dead": the robot is lost.
     """
 
     name: str

@@ -60,10 +60,11 @@ def with_features(tables: Tables) -> Tables:
 def typed(given: Arrays) -> Arrays:
     """The named tuple with contiguous, writable arrays: the types that programs are compiled for."""
     # `np.require` takes microseconds for each of some hundred arrays, most of which are as required.
-    return type(given)(
-        *(np.require(one, requirements=["C", "A", "W"]) if isinstance(one, np.ndarray) and not one.flags.carray else one
-          for one in given)
-    )  # fmt: skip
+    arrays = (
+        np.require(one, requirements=["C", "A", "W"]) if isinstance(one, np.ndarray) and not one.flags.carray else one
+        for one in given
+    )
+    return type(given)(*arrays)
 
 
 NO_COUNTS = np.zeros(0, dtype=np.int64)

@@ -28,7 +28,6 @@ from typing import Any, TypeVar
 
 import llvmlite  # type: ignore[import-untyped]
 import numba
-import numpy as np
 from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
@@ -171,7 +170,7 @@ class FunctionCache(NullCache):
     """
 
     has_read = False
-    """Whether this process has read some function's code, so that Numba is ready for more."""
+    """Whether this process has read the code of a function: reading more is fast."""
 
     def __init__(self, function: Callable[..., Any], folder: CacheFolder) -> None:
         code = function.__code__
@@ -222,9 +221,10 @@ LARGE = 2**12
 MOST_CELLS = 2**17
 """Cells, summed over its calls, after which a search is compiled: as Python they have taken about as long."""
 COLD_SHIFT, WARM_SHIFT = 2, 6
-"""How many times it is halved where the code is in the cache: to read it takes .3 s in a process, then some 10 ms."""
+"""MOST_CELLS is halved so many times if the code is in the cache: reading the first function of a process takes 0.3 s,
+reading another 10 ms."""
 A_NUMBER = 32
-"""Cells that a call without arrays counts as, `planner.simulator.failure_sampling.threefry`."""
+"""A call without arrays (`planner.simulator.failure_sampling.threefry`) counts as so many cells."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -260,7 +260,7 @@ def host_search(function: Function) -> Function:
 def as_work_grows(as_python: Callable[..., Any], compiled: Callable[[], Any]) -> Any:
     """A function that calls `as_python` while its inputs are small, and `compiled()` from then on.
 
-    The limits are `LARGE`, and `MOST_CELLS`, less where the code is in the cache.
+    The limits are `LARGE` and `MOST_CELLS`; the second is lower if the code is in the cache.
     """
     done, cached = 0, cache(lambda: is_cached(compiled()))
 
@@ -326,19 +326,6 @@ def is_cached(function: Callable[..., Any]) -> bool:
     return isinstance(cache, FunctionCache) and any(cache.folder.path.glob(f"{cache.name}-*"))
 
 
-KINDS: dict[Any, tuple[Any, ...]] = {}
-"""Numba's types of arguments, by their `_form`."""
-
-
-def _form(value: Any) -> Any:
-    """What Numba's type of a value follows from: two values with the same form have the same type."""
-    if isinstance(value, tuple):
-        return type(value), *map(_form, value)
-    if isinstance(value, np.ndarray):
-        return value.dtype, value.ndim, value.flags.num
-    return value if callable(value) else type(value)
-
-
 def has_program(function: Any, given: tuple[Any, ...], cached: bool) -> bool:
     """Whether compiled code exists for a call with these arguments.
 
@@ -347,9 +334,7 @@ def has_program(function: Any, given: tuple[Any, ...], cached: bool) -> bool:
         given: its arguments.
         cached: whether code in the cache counts too, not only that of this process.
     """
-    form, cache = _form(given), getattr(function, "_cache", None)
-    # Numba takes milliseconds for the types of some hundred arrays, and they are few.
-    kinds = KINDS.get(form) or KINDS.setdefault(form, tuple(map(numba.typeof, given)))
+    kinds, cache = tuple(map(numba.typeof, given)), getattr(function, "_cache", None)
     if kinds in getattr(function, "overloads", ()):  # Numba may be switched off
         return True
     return cached and isinstance(cache, FunctionCache) and cache.has(kinds, function.targetctx)

@@ -484,7 +484,7 @@ def apply_estimate(t, s, w, cell, count):
 
 @kernel
 def is_occupied(s, cell):
-    """Whether a live robot is in the cell: it is no obstacle as long."""
+    """Whether a live robot is in the cell, which then does not become an obstacle yet."""
     found = False
     for robot in range(len(s.robots)):
         found = found or (s.robots[robot].cell == cell and s.robots[robot].doing != DEAD)

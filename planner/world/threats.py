@@ -524,7 +524,7 @@ def _raster(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
 
 
 def _objects(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
-    """Polygons, the last that holds a cell's centre counts; or points: values add up, the largest detection counts."""
+    """Polygons or points on the cells: the last polygon counts; of points the sum of values, the largest detection."""
     merge: Merge = np.add if of is VALUE else np.maximum
     if "polygons" in keys:
         (things, notes), merge = _of_polygons(keys, of, ground.frame, ground), lambda before, number: number
