@@ -34,6 +34,7 @@ settings.register_profile("quick", settings.get_profile("default"), max_examples
 settings.load_profile("default")
 gc.set_threshold(100_000, 50, 100)  # compilers make and drop many small objects: a tenth of their time was collecting
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of child processes: threads that wait for work spin
 sys.path.append(str(Path(__file__).parents[1] / "docs" / "examples"))  # the studies there are tested here
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # set, every process would compile all modules: a third of its start
 os.environ.pop("COLUMNS", None)  # a worker of pytest-xdist has 80: output is as on a pipe
@@ -100,6 +101,11 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
         for rule in ("mrac", "per_cell"):
             run_nominal(rule)
+
+
+def pytest_collection_finish() -> None:
+    """What is imported stays for good: collections of garbage need not look at it."""
+    gc.freeze()
 
 
 @cache

