@@ -103,7 +103,7 @@ class Asked:
     def load(self) -> World:
         """The world of the INPUT. Raises InputError."""
         world = load_world(self.source, self.cell_size).with_pace(self.step_seconds, self.speed, self.turn)
-        return world if self.sensor_range is None else world.seeing(self.sensor_range)
+        return world if self.sensor_range is None else world.with_range(self.sensor_range)
 
 
 def load_task(asked: Asked) -> Task:
@@ -129,7 +129,7 @@ def load_task(asked: Asked) -> Task:
         notes += more
     settings = asked.choices.settings(team.settings, world.pace, by=world.source)
     notes += _cut_off(world, placed)
-    if world.movers is None and not (world.by_phase > 0).any():
+    if world.moving_threats is None and not (world.by_phase > 0).any():
         notes += ("no cell is dangerous, so every robot survives: put threats on the map (a scenario's `threats`)",)
     return Task(world, placed, settings, notes)
 

@@ -347,7 +347,7 @@ def make_open_loop_plan(world: World, starts: ArrayLike, settings: Settings, sec
     plan = Plan(
         world.shape, world.sha256, None, tuple(RobotPlan(path) for path in paths), outcome=Outcome.END_OF_PATHS.word,
         for_open_loop=True,
-        bears=settings.failure_model(), source=world.source,
+        failures=settings.failure_model(), source=world.source,
         notes=_notes(cells, before, done, effort, closed, "cells" if world.value is None else "of value"),
     )  # fmt: skip
     return replace(plan, time=plan.makespan)

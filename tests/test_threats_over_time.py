@@ -75,7 +75,7 @@ def test_rollouts_do_not_depend_on_how_they_are_run() -> None:
 def test_movers_that_hit_nobody_change_no_event() -> None:
     world = moving_world(5)
     plain = replace(world, threat=world.met, uncertainty=None)
-    tame = plain.with_moving_threats([replace(one, hit=0.0) for one in world.movers.members])
+    tame = plain.with_moving_threats([replace(one, hit=0.0) for one in world.moving_threats.members])
     np.testing.assert_array_equal(tame.threat, plain.threat)
     plan = make_plan(plain, place_starts(plain, 3)[0])
     traces, counts = [], []
@@ -196,8 +196,8 @@ def test_movers_stay_where_they_are_in_the_long_run() -> None:
     """Who starts anywhere is at every step in a cell with the chance of `joined`, within 5 standard errors."""
     world = moving_world(9, most=5)
     walker = replace(world, threat=world.met, uncertainty=None).with_moving_threats([MovingThreat(0.3, 0.2)], "joined")
-    chance, n = walker.movers.chances(walker.movers.members[0]).ravel(), 1500
-    starts = np.bincount(first_places(walker.movers, 4, range(n))[:, 0], minlength=chance.size)
+    chance, n = walker.moving_threats.chances(walker.moving_threats.members[0]).ravel(), 1500
+    starts = np.bincount(first_places(walker.moving_threats, 4, range(n))[:, 0], minlength=chance.size)
     later = np.bincount([int(threat_paths(walker, 4, one, 4)[-1, 0]) for one in range(n)], minlength=chance.size)
     for counts in (starts, later):
         spread = np.sqrt(n * np.maximum(chance * (1 - chance), 1 / n))
@@ -233,11 +233,11 @@ def test_a_scenario_and_its_world_file(tmp_path: Path) -> None:
     )
     square = MovingThreat(0.5, 0.0, 4, (0, 1, 4, 3))
     expected = (*[MovingThreat(0.25, 0.5)] * 3, MovingThreat(1.0, 0.0, 4), square, MovingThreat(0.5, 0.0, -1, (4, 5)))
-    assert world.movers.members == expected
+    assert world.moving_threats.members == expected
     assert "4 walk and 2 patrol, and destroy a robot that they meet with probability 0.25 to 1" in repr(world)
     world.save(tmp_path / "w.npz")
     again = load_world_file(tmp_path / "w.npz")
-    assert again.movers.members == expected
+    assert again.moving_threats.members == expected
     assert again.randomness_sha256 == world.randomness_sha256 == load_input(tmp_path / "w.npz").randomness_sha256
     both = "moving_threats: [{walk: 0.5, h: 0.25}, {patrol: [[0, 0], [0, 1]], h: 0.5}]\nplan_on: "
     assert not np.nan_to_num(scenario(tmp_path, both + "own").threat).any()
@@ -261,7 +261,7 @@ def test_robots_plan_on_those_that_have_a_route_unless_something_else_is_said(tm
     assert as_before(sure) is sure
     (note,) = scenario(tmp_path, "moving_threats: [{patrol: [[0, 0], [0, 1]], h: 0.5}]\n").notes
     plain = replace(world, threat=world.met, uncertainty=None, notes=())
-    assert plain.with_moving_threats(world.movers.members).sha256 == world.sha256
+    assert plain.with_moving_threats(world.moving_threats.members).sha256 == world.sha256
     walkers = scenario(tmp_path, "moving_threats: [{walk: 0.5, h: 0.25}]\n")
     np.testing.assert_array_equal(walkers.threat, walkers.met)
 
@@ -492,7 +492,7 @@ def test_who_wears_bears_what_each_phase_brings() -> None:
     exact = open_loop_exact(make_plan(world, [[0, 0]], Settings(weibull_shape=3.0)), world)
     borne = -np.log1p(-np.float64(np.float32(0.5)))  # it enters [0, 4] at step 4, safe in both; nothing before
     assert exact.survival[0] == 1.0 and borne > 0
-    back = Plan(world.shape, world.sha256, None, (RobotPlan(np.array([0, 1, 2, 3, 2, 1])),), bears=FailureModel(3.0))
+    back = Plan(world.shape, world.sha256, None, (RobotPlan(np.array([0, 1, 2, 3, 2, 1])),), failures=FailureModel(3.0))
     scale = round(2**20 / gamma(1 + 1 / 3)) / 2**20
     assert open_loop_exact(back, world).survival[0] == pytest.approx(np.exp(-((2 * borne / scale) ** 3)), rel=1e-4)
 

@@ -123,7 +123,7 @@ class Evaluation(Result):
         *figures alive.mean=figures.alive.mean time.max=longest losses.exact=exact_losses shown.some_left
         control=control_facts bounds=formulas bounds.any_strategy=bounds.any_strategy.cells verdicts=map_verdicts
         exact.open_loop=closed_form exact.closed_loop=closed_facts exact.alive=exact.alive exact.time=exact.time
-        plan=plan_facts rollouts_per_second compile_seconds movers?=world.movers phases?=world.phases
+        plan=plan_facts rollouts_per_second compile_seconds moving_threats?=world.moving_threats phases?=world.phases
         *outputs_json notes?
     """
 
@@ -317,14 +317,14 @@ class Evaluation(Result):
         return last_shown(self.plan, self.loop, self.tally)
 
     @property
-    def settled(self) -> bool:
+    def is_plain(self) -> bool:
         """Whether the paper's assumptions hold: one known map, and each visit destroys the robot with probability p."""
         return self.world.uncertainty is None and self.world.knowledge is None and self.plan.failure_model.is_plain
 
     @cached_property
     def checks(self) -> list[Check]:
-        """The paper's formulas compared with the open loop's exact values; empty if not `settled`."""
-        if not self.settled:
+        """The paper's formulas compared with the open loop's exact values; empty if not `is_plain`."""
+        if not self.is_plain:
             return []
         return paper_checks(self.plan, self.world, self.closed_form, self.formulas)
 
@@ -371,8 +371,8 @@ class Evaluation(Result):
 
     @cached_property
     def limit(self) -> AnyStrategy | None:
-        """The bound for every strategy; None if not `settled`, for first visits only, and from a mission state."""
-        if self.choices.first_only or not self.settled or self.plan.state is not None:
+        """The bound for every strategy; None if not `is_plain`, for first visits only, and from a mission state."""
+        if self.choices.first_only or not self.is_plain or self.plan.state is not None:
             return None
         return any_strategy(trimmed(self.world, self.plan), self.plan.starts, self.bound)
 

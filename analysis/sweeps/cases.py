@@ -259,9 +259,9 @@ def _plan_hash(plan: Plan) -> str:
     paths = [[list(divmod(cell, width)) for cell in robot.path.tolist()] for robot in plan.robots]
     areas = [[area.level, area.robot, area.cells.tolist()] for area in plan.areas]
     settings = None if plan.settings is None else names_of_0_3(plan.settings.to_json())
-    bears = [] if plan.bears.is_plain else [names_of_0_3(plan.bears.to_json())]
+    failures = [] if plan.failures.is_plain else [names_of_0_3(plan.failures.to_json())]
     begun = [] if plan.state is None else [plan.state.to_json()]
-    return hashlib.sha256(canonical([paths, areas, settings, *bears, *begun]).encode()).hexdigest()
+    return hashlib.sha256(canonical([paths, areas, settings, *failures, *begun]).encode()).hexdigest()
 
 
 def canonical(value: object) -> str:

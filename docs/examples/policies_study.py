@@ -245,7 +245,7 @@ def report(study: Study) -> Report:
     fronts = {robots: [_front(study, robots, kind) for kind in KINDS] for robots in FRONT_TEAMS}
     gains, charts = [_gains(study, kind) for kind in KINDS], [one for pair in fronts.values() for one in pair]
     return Report(
-        "policies", "reproduce", "What policies bring", headline(study), study_json(study),
+        "policies", "reproduce", "What policies bring", summary(study), study_json(study),
         heading=[
             f"{counted(maps, 'map')} a point, {counted(study.rollouts, 'rollout')} a map, first seed {study.seed}"
         ],
@@ -282,7 +282,7 @@ def _front(study: Study, robots: int, kind: Kind) -> Chart:
     return Chart(title, tuple(series), "robots lost", "covered", unit="%", y_range=(0.0, 100.0))
 
 
-def headline(study: Study) -> str:
+def summary(study: Study) -> str:
     """The answer in a sentence."""
     gains = [100 * study.gain(rivals(kind, robots)[1]).mean for kind in KINDS for robots in TEAMS]
     worse = sum(len(study.worse(rivals(kind, robots)[1])) for kind in KINDS for robots in TEAMS)
@@ -294,7 +294,7 @@ def headline(study: Study) -> str:
 
 
 NOTES = (
-    "Coverage (visited) in % of the accessible cells; gains in points over mrac on the same maps and luck, ± half the "
+    "Coverage (visited) in % of the accessible cells; gains in points over mrac with common random numbers, ± half the "
     "95 % interval over maps.",
     "left: what no strategy exceeds, less the best here, on the maps that have the bound.",
 )
@@ -403,7 +403,7 @@ def study_json(study: Study) -> Json:
         if (left := study.gap(best_of(study, rivals(kind, robots)))) is not None
     ]
     return {
-        "answer": headline(study),
+        "answer": summary(study),
         "points": points,
         "worse": worse,
         "any_strategy": gaps,

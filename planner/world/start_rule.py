@@ -174,11 +174,11 @@ def as_before(world: World) -> World:
 
     Unchanged if they made the same world, or rejected it (p = 1).
     """
-    if world.movers is None or not world.movers.by_default:
+    if world.moving_threats is None or not world.moving_threats.by_default:
         return world
     try:
-        movers = replace(world.movers, by_default=False)
-        return replace(world, threat=movers.planned(JOINED, world.source), uncertainty=movers)
+        threats = replace(world.moving_threats, by_default=False)
+        return replace(world, threat=threats.planned(JOINED, world.source), uncertainty=threats)
     except WorldError:
         return world
 
@@ -201,10 +201,10 @@ def rules_of(world: World, settings: Settings, *, closed: bool = True) -> int:
         settings: of the plan.
         closed: for the closed loop.
     """
-    told = world.phases is not None and world.phases.told
+    announced = world.phases is not None and world.phases.are_announced
     mixed = settings.types is not None and not isinstance(settings.types, str) and len(set(settings.types)) > 1
-    by_default = world.movers is not None and world.movers.by_default
+    by_default = world.moving_threats is not None and world.moving_threats.by_default
     detects = world.learned_hazard is not None and world.learned_hazard.detector is not None
     # The nominal run is a closed loop too, and the open loop follows its paths.
     ends_otherwise = closed and (detects or settings.return_to is not None)
-    return NOW if told or mixed or by_default or ends_otherwise else BEFORE
+    return NOW if announced or mixed or by_default or ends_otherwise else BEFORE
