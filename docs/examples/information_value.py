@@ -200,8 +200,8 @@ def study_knowing(
 # The report: coverage by way, what lies between ways, over the team.
 
 NOTE = (
-    "Visited, % of the accessible cells, and differences in points, common random numbers; ± half the 95 % interval "
-    "over maps."
+    "Visited, % of the accessible cells, and differences in points, common random numbers; ± half the 95 % "
+    "interval over maps."
 )
 
 

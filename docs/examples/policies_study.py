@@ -294,7 +294,7 @@ def summary(study: Study) -> str:
 
 
 NOTES = (
-    "Coverage (visited) in % of the accessible cells; gains in points over mrac with common random numbers, ± half the "
+    "Coverage (visited) in % of the accessible cells; gains in points over mrac, common random numbers, ± half the "
     "95 % interval over maps.",
     "left: what no strategy exceeds, less the best here, on the maps that have the bound.",
 )
