@@ -607,7 +607,7 @@ def debrief(
     *,
     lost: Sequence[int | str] | int | str = (),
 ) -> Debrief:
-    """Tracks of robots against the map and the plan: coverage, gaps, the loss rate met, and the plan of the rest.
+    """Tracks compared with the map and the plan: coverage, gaps, observed loss rate, and a plan for the rest.
 
     Args:
         tracks: CSV (robot, a time or step, and row, col, or x, y, or lon, lat), GPX, GeoJSON lines with `coordTimes`,
@@ -979,7 +979,7 @@ def check(
     theory: Literal["main", "all"] = "main",
     **options: Unpack[CheckOptions],
 ) -> MapCheck | Survey | Reproduction:
-    """Check of the paper's formulas on a map, on random maps, or of its experiments.
+    """Check the paper's formulas on one map or on random maps, or its experiments.
 
     Expected values of the open loop are exact. Those of the closed loop are exact where that is cheap, else sampled,
     with simultaneous 95 % intervals.
@@ -1263,7 +1263,7 @@ def studio(
     port: int | None = None,
     out: str | Path | None = None,
 ) -> None:
-    """A local page to draw threats, obstacles and starts, with the answer; Ctrl-C ends it.
+    """A local page to draw threats, obstacles and starts, with live results; Ctrl-C ends it.
 
     The page is served on this machine only, at the printed address (needs the extra `studio`).
 

@@ -244,7 +244,7 @@ class Settings:
         Numbers(1 / 64, 64.0), each=True, later=True,
     )  # fmt: skip
     return_to: str | tuple[tuple[int, int], ...] | None = _setting(
-        None, "return to", 'Return to: home (the own start), nearest (any start) or bases "row,col;row,col;...".',
+        None, "return to", 'Return to: home (its own start), nearest (any start) or bases "row,col;row,col;...".',
         words=("home", "nearest"), unset="nowhere", places=True, later=True, rare=False,
     )  # fmt: skip
     wrecks: str = _setting(

@@ -62,8 +62,8 @@ SAID = {
     (20, 0): "1 of 1 robot lost on average; all in 100 % of runs, none in 0 %.",
     (3722, 6278): "0.37 of 1 robot lost on average; all in 37.2 % of runs, none in 62.8 %.",
     (60, 30, 10): "1.5 of 2 robots lost on average; all in 60 % of runs, none in 10 %.",
-    (19990, 10, *[0] * 7): "> 7.99 of 8 robots lost on average; all in 99.95 % of runs, none in 0 %.",
-    (0, 0, 1, 99999): "< 0.01 of 3 robots lost on average; all in 0 % of runs, none in 99.999 %.",
+    (19990, 10, *[0] * 7): "More than 7.99 of 8 robots lost on average; all in 99.95 % of runs, none in 0 %.",
+    (0, 0, 1, 99999): "Fewer than 0.01 of 3 robots lost on average; all in 0 % of runs, none in 99.999 %.",
     (0, 40, 60, 0): "1.4 of 3 robots lost on average; all in 0 % of runs, none in 0 %.",
 }
 """Sentences by the runs that left 0, 1, ... robots."""
@@ -74,7 +74,8 @@ def test_losses_in_words_and_in_the_headline(alive: tuple[int, ...]) -> None:
     evaluation = evaluation_of(list(alive))
     assert losses_text(evaluation) == SAID[alive]
     said = summary(evaluation)
-    assert said.endswith(f", with {SAID[alive].partition(';')[0]}.")
+    lost = SAID[alive].partition(";")[0]
+    assert said.endswith(f", with {lost[0].lower()}{lost[1:]}.")
     check_one_meaning(said)
 
 
@@ -325,8 +326,9 @@ TEXTS = {
     "bounds from above": ([ceiled(x) for x in (0.999951, 0.12341, 0.29)], ["99.996 %", "12.35 %", "29.00 %"]),
     "100 is whole": ([ceiled(x) for x in (1 - 1e-10, 1.0, 1 - 2e-8)], ["100 %", "100 %", "99.999998 %"]),
     "robots": ([robots_text(mean, 8) for mean in (0.0, 1e-9, 0.006, 4.0, 7.994, 7.9999, 8.0)],
-               [f"{mean} of 8 robots" for mean in ("0", "< 0.01", "0.01", "4.00", "7.99", "> 7.99", "8")]),
-    "one robot": ([robots_text(0.999, 1)], ["> 0.99 of 1 robot"]),
+               [f"{mean} of 8 robots"
+                for mean in ("0", "fewer than 0.01", "0.01", "4.00", "7.99", "more than 7.99", "8")]),
+    "one robot": ([robots_text(0.999, 1)], ["more than 0.99 of 1 robot"]),
     "losses in a table": (
         [estimates.losses_shown(estimate(*one), 8)
          for one in ((8, 7.981, 8), (7.9996, 7.996, 8), (0, 0, 0.0009), (1.873, 1.868, 1.878), (2.5, 2.5, 2.5))],

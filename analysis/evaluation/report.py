@@ -50,7 +50,7 @@ def losses_text(evaluation: Evaluation) -> str:
     if lost.half_width > 0.5:  # an interval, because the mean has one decimal too many
         mean += f" ({between(max(lost.ci95[0] - gone, 0.0), lost.ci95[1] - gone, 1, robots, 'fewer')})"
     every, none = (evaluation.shown.left[number].share for number in (0, robots))
-    return f"{mean}{left} lost on average; all in {every} of runs, none in {none}.{before}"
+    return f"{mean[0].upper()}{mean[1:]}{left} lost on average; all in {every} of runs, none in {none}.{before}"
 
 
 def _team(evaluation: Evaluation) -> tuple[int, int, str]:
@@ -178,8 +178,8 @@ def gain_text(evaluation: Evaluation) -> str:
     more = Estimate(covered.mean - kept, covered.se, (covered.ci95[0] - kept, covered.ci95[1] - kept))
     gain = without_level(more.more(100, " points", ("more", "less")))
     return (
-        f"Reassigning the areas of lost robots covers {gain} than robots that only follow their own plans "
-        f"({percent(kept)}, exact)."
+        f"A team that reassigns the areas of lost robots covers {gain} than one whose robots only follow their own "
+        f"plans ({percent(kept)}, exact)."
     )
 
 
@@ -275,7 +275,7 @@ def _inputs(evaluation: Evaluation) -> dict[str, str]:
     cells, plan, world = evaluation.cells, evaluation.plan, evaluation.world
     ground = f" ({_area(cells['accessible'] * world.cell_size**2)})" if world.cell_size != 1 else ""
     tree = evaluation.closed.tree if isinstance(evaluation.closed, TreeTruth) else None
-    whole = "" if tree is None else f"exact: all {counted(tree.histories, 'history', 'histories')}; and "
+    whole = "" if tree is None else f"all {counted(tree.histories, 'history', 'histories')} (exact), and "
     unsure = "moving threats" if world.moving_threats else "phases" if world.phases else "map uncertainty"
     found = {
         "map": f"{world.name}, {world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} "
