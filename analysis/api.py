@@ -351,9 +351,9 @@ def plan(
     """
     from analysis.estimators.racing import BASE, plan_best
     from analysis.inputs import plan_from_state
+    from planner.open_loop import plan_team
     from planner.plan.state import MissionState
     from planner.plan.state_file import read_state
-    from planner.plan_team import plan_team
     from planner.world.start_rule import starts_of
 
     check_world(world)
@@ -394,8 +394,8 @@ def check_world(world: object) -> None:
 
 def plan_of(world: World, given: PlanSource) -> tuple[World, Plan]:
     """The world and the plan of a PlanSource: the plan itself, one read from a file (`read_plan_on`), or a new one."""
+    from planner.make_plan import read_plan_on
     from planner.plan.plan import Plan
-    from planner.plan_team import read_plan_on
 
     check_world(world)
     if isinstance(given, Plan):

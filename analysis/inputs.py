@@ -163,7 +163,7 @@ def load_or_make_plan(
     search, or of the search for an open-loop plan. `state`: state file of a mission; the plan covers its rest.
     `first`: check of the world before planning; it raises InputError. `doing`: receives the name of the activity.
     """
-    from planner.plan_team import plan_team
+    from planner.open_loop import plan_team
 
     sought = asked.choices.policy == BEST
     if sought and (state is not None or plan_file is not None):
@@ -239,7 +239,7 @@ def plan_from_state(world: World, state: MissionState, settings: Settings, sourc
 
 def _load_plan(asked: Asked, plan_file: Path) -> Found:
     """A saved plan, confirmed; options that contradict it are errors."""
-    from planner.plan_team import read_plan_on
+    from planner.make_plan import read_plan_on
 
     world, plan = read_plan_on(plan_file, asked.load())
     check_team(asked, len(plan.robots), plan_file)

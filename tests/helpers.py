@@ -139,7 +139,7 @@ def paths_of(run: SingleRun) -> list[np.ndarray]:
 
 
 def load_plan(path: str | Path, world: World) -> Plan:
-    """As `planner.plan_team.read_plan`, but a plan of today's rules alone, and nothing is planned. Raises PlanError."""
+    """As `planner.make_plan.read_plan`, but a plan of today's rules alone, and nothing is planned. Raises PlanError."""
     return parse_plan(read_plan_json(path), world, str(path))
 
 

@@ -190,7 +190,7 @@ def test_what_is_refused_is_refused_before_anything_is_planned(asked: dict, monk
     def plan(*given: object, **more: object) -> None:
         raise AssertionError("planned")
 
-    monkeypatch.setattr("planner.plan_team.plan_team", plan)
+    monkeypatch.setattr("planner.open_loop.plan_team", plan)
     world = BASE.with_spread("lognormal", 0.3)
     world = world if asked else world.with_values(2.0)
     with pytest.raises(InputError, match="one known map"):

@@ -36,10 +36,9 @@ from planner.failure_model import (
     weibull_nodes,
     weibull_thresholds,
 )
-from planner.make_plan import make_plan
+from planner.make_plan import make_plan, read_plan
 from planner.plan.plan import Plan
 from planner.plan.state_file import parse_state
-from planner.plan_team import read_plan
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.exact_tree import grow_tree

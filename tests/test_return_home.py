@@ -24,10 +24,10 @@ from planner.errors import InputError, PlanError, ScenarioError, UsageError
 from planner.make_plan import allocated_plan, confirm_plan, make_plan
 from planner.mission.mission import Mission
 from planner.mrac.problem import prepare
+from planner.open_loop import plan_team
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.plan.state_file import parse_state
-from planner.plan_team import plan_team
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.exact_tree import WHOLE, grow_tree
 from planner.rollouts.single_run import PythonLoop

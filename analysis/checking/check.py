@@ -46,8 +46,8 @@ from planner.arguments import argument, whole
 from planner.errors import UsageError
 from planner.formatting import counted
 from planner.make_plan import make_plan
+from planner.open_loop import plan_team
 from planner.plan.plan import Plan
-from planner.plan_team import plan_team
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.tables import AllPairs
 from planner.settings import Choices, Settings

@@ -72,7 +72,6 @@ from planner.rollouts.engine import choose_engine
 from planner.rollouts.tables import AllPairs
 from planner.simulator.codes import Outcome
 from planner.tally import Tally, counts_by_word
-from planner.world.start_rule import true_world
 from planner.world.uncertain_maps import Uncertain
 from planner.world.world import World
 
@@ -169,8 +168,8 @@ class Evaluation(Result):
 
     @property
     def map_verdicts(self) -> dict[str, str]:
-        """The verdict on each formula of the paper, by formula and meaning."""
-        return {check.key: str(check.verdict) for check in self.worst_checks}
+        """The verdict on each formula of the paper, by formula and meaning, of the robot with the smallest margin."""
+        return {check.key: str(check.verdict) for check in worst_of_robots(self.checks)}
 
     @property
     def closed_facts(self) -> Json | None:
@@ -237,7 +236,7 @@ class Evaluation(Result):
     @cached_property
     def ground(self) -> World:
         """The true map, without the robots' knowledge of it."""
-        return true_world(self.world)
+        return replace(self.world, threat=self.world.met, knowledge=None)
 
     @cached_property
     def accessible(self) -> NDArray[np.bool_]:
@@ -332,11 +331,6 @@ class Evaluation(Result):
     def verdicts(self) -> dict[str, Verdict | None]:
         """The verdict on each formula over all its meanings and robots; None without a check."""
         return {formula: overall(of_formula(self.checks, formula)) for formula in FORMULAS}
-
-    @cached_property
-    def worst_checks(self) -> list[Check]:
-        """For each formula and meaning, the check of the robot with the smallest margin."""
-        return worst_of_robots(self.checks)
 
     @property
     def exact(self) -> Known:

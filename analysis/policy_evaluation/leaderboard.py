@@ -33,8 +33,9 @@ from planner.arguments import argument
 from planner.errors import InputError, UsageError
 from planner.files import Json, check_file
 from planner.formatting import ceiled, counted, in_percent
+from planner.make_plan import read_plan
+from planner.open_loop import plan_team
 from planner.plan.plan import Plan
-from planner.plan_team import plan_team, read_plan
 from planner.policies.rules import Rule
 from planner.rollouts.names import of_jax
 from planner.settings import Settings

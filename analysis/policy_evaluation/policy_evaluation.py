@@ -24,7 +24,7 @@ from analysis.utils.tables import make_table, without_level
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.formatting import ceiled, counted, percent
-from planner.plan_team import plan_team
+from planner.open_loop import plan_team
 from planner.rollouts.names import of_jax
 from planner.settings import Choices
 from planner.world.world import World

@@ -325,7 +325,7 @@ def share_figure(estimate: Estimate, name: str, note: str = "") -> KeyFigure:
 
 def run_again(words: Sequence[str], how: Sequence[str], choices: RolloutChoices, *, exact: bool) -> str:
     """The command that evaluates the result of a search; with a seed that the search did not use, if not `exact`."""
-    fresh = [] if exact else ["--rollouts", str(choices.rollouts), "--seed", str(choices.next_seed)]
+    fresh = [] if exact else ["--rollouts", str(choices.rollouts), "--seed", str((choices.seed + 1) % 2**64)]
     return shlex.join(["mrac-jax", "evaluate", *words, *how, *fresh])
 
 

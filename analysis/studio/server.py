@@ -46,8 +46,8 @@ from planner.arguments import MAX_STEP, MOST_ROLLOUTS, exactly, whole
 from planner.errors import InputError, MracError, UsageError, WorldError
 from planner.files import Json, atomic_write
 from planner.formatting import Pace, counted, percent
+from planner.open_loop import plan_team
 from planner.plan.plan import Plan, is_certain
-from planner.plan_team import plan_team
 from planner.policies import RULES
 from planner.rollouts.tables import AllPairs
 from planner.settings import Settings

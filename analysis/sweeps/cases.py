@@ -29,8 +29,9 @@ from analysis.utils.pool import AHEAD
 from planner.arguments import BLOCK, argument, is_whole
 from planner.errors import InputError, UsageError, names_of_0_3
 from planner.files import Json
+from planner.make_plan import read_plan_on
+from planner.open_loop import plan_team
 from planner.plan.plan import Plan
-from planner.plan_team import plan_team, read_plan_on
 from planner.policies import DEFAULT
 from planner.settings import BEARING, Choices, Settings
 from planner.tally import Tally

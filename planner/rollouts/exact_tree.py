@@ -50,11 +50,6 @@ class Tree:
     cut: int
     seconds: float = 0.0
 
-    @property
-    def share_cut(self) -> float:
-        """The probability below which branches were left."""
-        return self.cut / WHOLE
-
     @cached_property
     def left(self) -> float:
         """Probability of the branches that were left."""

@@ -140,11 +140,6 @@ def _breadth_first(free: NDArray[np.bool_], source: int, wanted: NDArray[np.bool
 # The map that robots plan on (SPEC sections 15, 16).
 
 
-def true_world(world: World) -> World:
-    """The true map as a known map; unchanged if the map is known, or if the true map is drawn."""
-    return replace(world, threat=world.met, knowledge=None)
-
-
 def as_planned(world: World, starts: ArrayLike) -> World:
     """The known map that robots plan on: the prior map with the cells in sensor range of the starts updated.
 
