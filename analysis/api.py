@@ -351,9 +351,9 @@ def plan(
     """
     from analysis.estimators.racing import BASE, plan_best
     from analysis.inputs import plan_from_state
+    from planner.open_loop import plan_team
     from planner.plan.state import MissionState
     from planner.plan.state_file import read_state
-    from planner.plan_team import plan_team
     from planner.world.start_rule import starts_of
 
     check_world(world)
@@ -394,8 +394,8 @@ def check_world(world: object) -> None:
 
 def plan_of(world: World, given: PlanSource) -> tuple[World, Plan]:
     """The world and the plan of a PlanSource: the plan itself, one read from a file (`read_plan_on`), or a new one."""
+    from planner.make_plan import read_plan_on
     from planner.plan.plan import Plan
-    from planner.plan_team import read_plan_on
 
     check_world(world)
     if isinstance(given, Plan):
@@ -607,7 +607,7 @@ def debrief(
     *,
     lost: Sequence[int | str] | int | str = (),
 ) -> Debrief:
-    """Tracks of robots against the map and the plan: coverage, gaps, the loss rate met, and the plan of the rest.
+    """Tracks compared with the map and the plan: coverage, gaps, observed loss rate, and a plan for the rest.
 
     Args:
         tracks: CSV (robot, a time or step, and row, col, or x, y, or lon, lat), GPX, GeoJSON lines with `coordTimes`,
@@ -979,7 +979,7 @@ def check(
     theory: Literal["main", "all"] = "main",
     **options: Unpack[CheckOptions],
 ) -> MapCheck | Survey | Reproduction:
-    """Check of the paper's formulas on a map, on random maps, or of its experiments.
+    """Check the paper's formulas on one map or on random maps, or its experiments.
 
     Expected values of the open loop are exact. Those of the closed loop are exact where that is cheap, else sampled,
     with simultaneous 95 % intervals.
@@ -1263,7 +1263,7 @@ def studio(
     port: int | None = None,
     out: str | Path | None = None,
 ) -> None:
-    """A local page to draw threats, obstacles and starts, with the answer; Ctrl-C ends it.
+    """A local page to draw threats, obstacles and starts, with live results; Ctrl-C ends it.
 
     The page is served on this machine only, at the printed address (needs the extra `studio`).
 

@@ -128,7 +128,7 @@ class Comparison(Result):
         default_factory=lambda: (no_counts(), no_counts())
     )
     json_keys = """
-        answer=headline a a.mean=mean_a b b.mean=mean_b differing=differing_sides rollouts seed=a.choices.seed certain
+        answer=summary a a.mean=mean_a b b.mean=mean_b differing=differing_sides rollouts seed=a.choices.seed certain
         difference=differences exact_difference=exact_differences b_ahead b_behind seconds
     """
 
@@ -421,7 +421,7 @@ def report(answer: Comparison) -> Report:
     certain = "no cell on the way of either is dangerous, so every run is the same and 1 rollout is enough"
     return Report(
         "compare", "compare", f"{' and '.join(names)}: which covers more?",
-        headline(answer), answer, figures=_key_figures(answer),
+        summary(answer), answer, figures=_key_figures(answer),
         heading=(f"A: {_description(a)}", f"B: {_description(b)}", *[certain] * answer.certain,
                  f"{counted(answer.rollouts, 'rollout')} on common random numbers, seed {a.choices.seed}"),
         took=[f"{rate:,.0f} rollouts a second of both"], parts=[Section("Figures", [_table(answer)], [TABLE_NOTE])],
@@ -430,7 +430,7 @@ def report(answer: Comparison) -> Report:
     )  # fmt: skip
 
 
-def headline(answer: Comparison) -> str:
+def summary(answer: Comparison) -> str:
     """The difference of expected coverage in one sentence, with the descriptions of A and B."""
     if not any(answer.differing):
         return "A and B are equal: no difference (exact)."

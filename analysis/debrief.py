@@ -175,7 +175,7 @@ class Debrief(Result):
     notes: tuple[str, ...] = ()
     partial: bool = False
     json_keys = """
-        answer=headline input=world.source tracks coverage.accessible=cells coverage.visited=visited_share
+        answer=summary input=world.source tracks coverage.accessible=cells coverage.visited=visited_share
         coverage.survived=survived_share coverage.planned=planned_share coverage.expected=expected lost
         hazard=multiplier.hazard hazard_multiplier=multiplier robots areas gaps=gap_rows rest=rest_ends notes?
     """
@@ -376,7 +376,7 @@ def _hazard(found: Walk, own: World, model: FailureModel, number: int, step: flo
 
     `own`: the world as the robot meets it.
     """
-    if own.movers is not None or (own.phases is not None and step is None):
+    if own.moving_threats is not None or (own.phases is not None and step is None):
         return None
     if own.phases is None:
         # The p that was assumed is that of the planned map, whatever is true.
@@ -440,7 +440,7 @@ def report(done: Debrief) -> Report:
     if done.world.georeference is not None:
         saved["flown.geojson"] = partial(flown_geojson, done)
     return Report(
-        "debrief", "debrief", f"{done.world.name}: what was flown?", _headline(done), done,
+        "debrief", "debrief", f"{done.world.name}: what was flown?", _summary(done), done,
         findings=_findings(done), figures=_key_figures(done),
         heading=[f"{map_text(done.world, done.cells, len(done.flights))}, tracks {done.tracks}"],
         picture=lambda: _map(done), parts=parts, notes=done.notes, pace=done.world.pace,
@@ -457,7 +457,7 @@ def _table(name: str, rows: Sequence[Any]) -> Table:
     return table_of(map(column, shown, shown.values()), rows)
 
 
-def _headline(done: Debrief) -> str:
+def _summary(done: Debrief) -> str:
     """Coverage as flown, against the plan, in one sentence."""
     planned = "" if done.planned_share is None else f" (planned: {percent(done.planned_share, 2)})"
     if done.expected is not None:

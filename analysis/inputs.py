@@ -103,7 +103,7 @@ class Asked:
     def load(self) -> World:
         """The world of the INPUT. Raises InputError."""
         world = load_world(self.source, self.cell_size).with_pace(self.step_seconds, self.speed, self.turn)
-        return world if self.sensor_range is None else world.seeing(self.sensor_range)
+        return world if self.sensor_range is None else world.with_range(self.sensor_range)
 
 
 def load_task(asked: Asked) -> Task:
@@ -129,7 +129,7 @@ def load_task(asked: Asked) -> Task:
         notes += more
     settings = asked.choices.settings(team.settings, world.pace, by=world.source)
     notes += _cut_off(world, placed)
-    if world.movers is None and not (world.by_phase > 0).any():
+    if world.moving_threats is None and not (world.by_phase > 0).any():
         notes += ("no cell is dangerous, so every robot survives: put threats on the map (a scenario's `threats`)",)
     return Task(world, placed, settings, notes)
 
@@ -163,7 +163,7 @@ def load_or_make_plan(
     search, or of the search for an open-loop plan. `state`: state file of a mission; the plan covers its rest.
     `first`: check of the world before planning; it raises InputError. `doing`: receives the name of the activity.
     """
-    from planner.plan_team import plan_team
+    from planner.open_loop import plan_team
 
     sought = asked.choices.policy == BEST
     if sought and (state is not None or plan_file is not None):
@@ -239,7 +239,7 @@ def plan_from_state(world: World, state: MissionState, settings: Settings, sourc
 
 def _load_plan(asked: Asked, plan_file: Path) -> Found:
     """A saved plan, confirmed; options that contradict it are errors."""
-    from planner.plan_team import read_plan_on
+    from planner.make_plan import read_plan_on
 
     world, plan = read_plan_on(plan_file, asked.load())
     check_team(asked, len(plan.robots), plan_file)

@@ -331,7 +331,7 @@ class Reproduction(Swept):
     rollouts: int
     seed: int
     finished: Finished
-    json_keys = "answer=headline maps rollouts seed figures=points_by_figure statements=findings"
+    json_keys = "answer=summary maps rollouts seed figures=points_by_figure statements=findings"
 
     @property
     def points_by_figure(self) -> dict[str, list[Point]]:
@@ -478,7 +478,7 @@ CURVES = {
 
 def report(answer: Reproduction) -> Report:
     """Verdicts on the statements; coverage and time over the team or the ratio of threats, on the paper's axes."""
-    finished, said = answer.finished, headline(answer)
+    finished, said = answer.finished, summary(answer)
     over = [figure for figure in answer.figures if figure != "fig4"]
     charts = {figure: [_chart(answer, figure, what) for what in CURVES] for figure in answer.figures}
     return Report(
@@ -539,7 +539,7 @@ def _runs(points: list[Point], what: str) -> Chart:
     return Chart(f"{TITLES['fig4']}: {what}", tuple(series), axis, "runs, %", unit="%", at_x=tuple(marks))
 
 
-def headline(answer: Reproduction) -> str:
+def summary(answer: Reproduction) -> str:
     """The number of reproduced statements."""
     found = answer.findings
     counts = {verdict: sum(one.verdict is verdict for one in found) for verdict in StatementVerdict}

@@ -75,11 +75,6 @@ class RolloutChoices:
         return replace(self, deadline=pace.last_step("deadline", self.deadline))
 
     @property
-    def next_seed(self) -> int:
-        """Another seed, whose rollouts are independent of those that made a selection."""
-        return (self.seed + 1) % 2**64
-
-    @property
     def exact_seconds(self) -> float:
         """Limit of the search for the closed loop's exact values, in seconds."""
         return {"auto": EXACT_SECONDS, "never": 0.0}[self.exact] if isinstance(self.exact, str) else self.exact

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from mrac_jax import functional
     from mrac_jax.env.making import env
     from planner.errors import InputError
+    from planner.make_plan import read_plan
     from planner.plan.plan import Plan
-    from planner.plan_team import read_plan
     from planner.rollouts.coverage_gradient import closed_loop_gradient
     from planner.settings import Settings
     from planner.world.world import World
@@ -46,7 +46,7 @@ ELSEWHERE = {
     "env": "mrac_jax.env.making",
     "functional": "mrac_jax.functional",
     "plots": "analysis.plots",
-    "read_plan": "planner.plan_team",
+    "read_plan": "planner.make_plan",
 }
 """The module of a name, if it is not `analysis.api`."""
 OF_0_3 = {

@@ -219,7 +219,7 @@ class Case:
 
     def draw_on_host(self, start: int, count: int) -> Any:
         """Failure thresholds, drawn by NumPy."""
-        return self.loop.failure_model.tolerances(SEED, np.arange(start, start + count), ROBOTS)
+        return self.loop.failure_model.thresholds(SEED, np.arange(start, start + count), ROBOTS)
 
     def measure(self, run: Run, what: str, of_jax: Call, of_numba: Call, count: int) -> None:
         """Print the rates of both."""

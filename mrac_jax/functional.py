@@ -255,7 +255,7 @@ def _effective_hazard(arrays: PlanArrays, hazard: Array) -> Array:
 def thresholds(key: Key, ids: ArrayLike, robots: int) -> Array:
     """Failure thresholds, Exp(1), of robots 0 .. `robots` - 1 in these rollouts: uint32 `[.., K, 2]`.
 
-    Whole units of 2**-32 nat, as two words of 32 bits, the leading one first (`planner.failure_model.tolerances` of the
+    Whole units of 2**-32 nat, as two words of 32 bits, the leading one first (`exp1_thresholds` of the
     same seed and ids); in nats they are `thresholds[..., 0] + thresholds[..., 1] * 2.0**-32`.
 
     Args:

@@ -507,7 +507,7 @@ class JaxOpenLoop:
         if joint is None:
             return on_host(Failures, key=key, left=None)
         ids = np.arange(first, first + self.batch)
-        thresholds = self.compiled.plan.failure_model.tolerances(self.seed, ids, self.compiled.robots)[:, joint.robot]
+        thresholds = self.compiled.plan.failure_model.thresholds(self.seed, ids, self.compiled.robots)[:, joint.robot]
         empty = len(self.padded.counter) - len(joint.robot)
         return on_host(Failures, key=key, left=uint64_pairs(np.pad(thresholds.T, ((0, empty), (0, 0)))))
 

@@ -99,7 +99,7 @@ def threshold_key(seed: int) -> tuple[int, int]:
     return own_key(seed, THRESHOLD_DRAW)
 
 
-def tolerances(seed: int, rollouts: ArrayLike, robots: int) -> NDArray[np.int64]:
+def exp1_thresholds(seed: int, rollouts: ArrayLike, robots: int) -> NDArray[np.int64]:
     """Failure thresholds, the same for a robot in teams of every size.
 
     Args:
@@ -114,15 +114,15 @@ def tolerances(seed: int, rollouts: ArrayLike, robots: int) -> NDArray[np.int64]
     return threshold_of(threefry2x32(threshold_key(seed), ids[:, None], np.arange(robots, dtype=np.uint32))[0])
 
 
-def susceptible(tolerance: ArrayLike, hazard_multiplier: float) -> NDArray[np.int64]:
+def scaled_thresholds(threshold: ArrayLike, hazard_multiplier: float) -> NDArray[np.int64]:
     """Thresholds of a robot with a hazard multiplier: int64, from Exp(1) or Weibull thresholds."""
-    hazard, times = np.asarray(tolerance, dtype=np.int64), round(hazard_multiplier * SCALE)
+    hazard, times = np.asarray(threshold, dtype=np.int64), round(hazard_multiplier * SCALE)
     return np.maximum(1, (hazard // times << 16) + ((hazard % times << 16) // times))
 
 
-def worn(tolerance: ArrayLike, shape: float) -> NDArray[np.int64]:
+def weibull_thresholds(threshold: ArrayLike, shape: float) -> NDArray[np.int64]:
     """Weibull thresholds of mean 1 and this shape, int64, from Exp(1) thresholds by the quantile function."""
-    hazard = np.asarray(tolerance, dtype=np.int64)
+    hazard = np.asarray(threshold, dtype=np.int64)
     if shape == 1:
         return hazard
     octave = np.maximum(np.frexp(hazard.astype(np.float64))[1].astype(np.int64) - 1 - 6, 0)
@@ -150,16 +150,16 @@ def weibull_nodes(shape: float) -> NDArray[np.int64]:
     places = [*range(64), *((64 + i) << octave for octave in range(octaves) for i in range(64)), 64 << octaves]
     scale = Decimal(weibull_scale(shape)) * UNIT
     power = Decimal(shape)
-    return np.array([_worn_node(Decimal(place) / UNIT, scale, power) for place in places], dtype=np.int64)
+    return np.array([_weibull_node(Decimal(place) / UNIT, scale, power) for place in places], dtype=np.int64)
 
 
-def _worn_node(nats: Decimal, scale: Decimal, power: Decimal) -> int:
+def _weibull_node(nats: Decimal, scale: Decimal, power: Decimal) -> int:
     if nats == 0:
         return 0
     return max(1, int((DIGITS.exp(DIGITS.divide(DIGITS.ln(nats), power)) * scale).to_integral_value()))
 
 
-Susceptibility = float | tuple[float, ...]
+HazardMultiplier = float | tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ class FailureModel:
     """
 
     shape: float = 1.0
-    hazard_multiplier: Susceptibility = 1.0
+    hazard_multiplier: HazardMultiplier = 1.0
     begun: tuple[int, ...] = ()
     types: str | tuple[str, ...] | None = None
 
@@ -191,14 +191,14 @@ class FailureModel:
     @property
     def description(self) -> str:
         """Description of what differs from the plain model; "" if nothing does."""
-        wear = f"Weibull shape {self.shape:g}" if self.shape != 1 else ""
+        shape = f"Weibull shape {self.shape:g}" if self.shape != 1 else ""
         numbers = np.unique(np.asarray(self.hazard_multiplier, dtype=np.float64))
         least, most = f"{numbers[0]:g}", f"{numbers[-1]:g}"
         between = least if least == most else f"{least} to {most}"
         count = f"hazard multiplier {between}" if (numbers != 1).any() else ""
         names = (self.types,) if isinstance(self.types, str) else dict.fromkeys(self.types or ())
         kinds = f"robots of type {' and '.join(names)}" if names else ""
-        return " and ".join(filter(None, (wear, count, kinds)))
+        return " and ".join(filter(None, (shape, count, kinds)))
 
     def to_json(self) -> dict[str, Any]:
         """Values that differ from the default, as in plan files."""
@@ -253,10 +253,10 @@ class FailureModel:
 
     def most(self, robots: int) -> NDArray[np.int64]:
         """The largest cumulative hazard that each robot `[K]` can survive with some threshold, int64."""
-        largest = worn(MOST, self.shape)
-        return np.array([susceptible(largest, times / SCALE) - 1 for times in self.times(robots).tolist()])
+        largest = weibull_thresholds(MOST, self.shape)
+        return np.array([scaled_thresholds(largest, times) - 1 for times in (self.times(robots) / SCALE).tolist()])
 
-    def tolerances(self, seed: int, rollouts: ArrayLike, robots: int) -> NDArray[np.int64]:
+    def thresholds(self, seed: int, rollouts: ArrayLike, robots: int) -> NDArray[np.int64]:
         """Remaining thresholds of robots in rollouts, beyond their hazard so far.
 
         Args:
@@ -267,12 +267,13 @@ class FailureModel:
         Returns:
             int64 `[B, K]`.
         """
-        drawn, begun = tolerances(seed, rollouts, robots), self.exp1_begun(robots)
+        drawn, begun = exp1_thresholds(seed, rollouts, robots), self.exp1_begun(robots)
         if self.is_even:
             return drawn
-        hazard = worn(drawn + begun, self.shape)
-        ones = [susceptible(hazard[:, one], times / SCALE) for one, times in enumerate(self.times(robots).tolist())]
-        return np.stack(ones, axis=1) - np.array(self.begun[:robots] or [0] * robots)
+        hazard = weibull_thresholds(drawn + begun, self.shape)
+        times = (self.times(robots) / SCALE).tolist()
+        scaled = np.stack([scaled_thresholds(hazard[:, one], of) for one, of in enumerate(times)], axis=1)
+        return scaled - np.array(self.begun[:robots] or [0] * robots)
 
     def survival(self, exposure: NDArray[np.float64], robot: int) -> NDArray[np.float64]:
         """Probability to survive further hazards, `exp(-(a E / s) ** B)`, given the hazard so far.

@@ -428,9 +428,9 @@ def sign_of(fields: Fields, sure: bool = False) -> Sign:
         return Sign(
             problem=f"line {line} has {comma[:40]!r} and line {other} {point[:40]!r}: decimal commas and points"
         )
-    doubtful = commas if commas and not sure else points if points and sure else []
-    if doubtful and all(GROUPED.fullmatch(field) for _, field in doubtful):
-        line, field = doubtful[0]
+    unclear = commas if commas and not sure else points if points and sure else []
+    if unclear and all(GROUPED.fullmatch(field) for _, field in unclear):
+        line, field = unclear[0]
         whole = re.sub("[,.]", "", field)
         return Sign(problem=f"line {line}: {field!r} may be {field.replace(',', '.')} or {whole}")
     return Sign("," if commas else ".")

@@ -1,9 +1,10 @@
-"""From a world and starts to a plan: levels, areas, Algorithm 1, and the nominal run of Algorithm 2."""
+"""From a world and starts to a plan: levels, areas, Algorithm 1, the nominal run of Algorithm 2; and plans in files."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +13,8 @@ from planner.arguments import argument
 from planner.errors import PlanError, StateError
 from planner.mrac.areas import allocate_areas_to_robots, connected_parts, find_areas, metis_parts
 from planner.mrac.problem import Problem, prepare
-from planner.plan.plan import Area, Leg, Plan, RobotPlan, last_move
+from planner.plan.plan import FORMAT, Area, Leg, Plan, RobotPlan, last_move
+from planner.plan.plan_file import parse_plan, read_plan_json
 from planner.plan.reading import check_partition
 from planner.plan.state import NAT, ON_ITS_WAY, RETURNING, AreaState, MissionState, RobotState
 from planner.rollouts.closed_loop import compile_closed_loop, nominal_loop, with_run
@@ -24,7 +26,7 @@ from planner.simulator.searches import NOT_WANTED, UNREACHED
 from planner.simulator.thresholds import MOST
 from planner.tally import Trace
 from planner.world.levels import NO_LEVEL
-from planner.world.start_rule import as_planned
+from planner.world.start_rule import BEFORE, as_before, as_planned, rules_of
 from planner.world.world import World
 
 MEDIUM, LARGE = 2**10, 2**18
@@ -301,3 +303,62 @@ def areas_of(state: MissionState) -> tuple[Area, ...]:
     return tuple(
         Area(area.level, area.robot if area.state == "assigned" else NO_ROBOT, area.cells) for area in state.areas
     )
+
+
+# Plans in files.
+
+KEPT_READING = (
+    "made by a release before 0.4 without `plan_on`, so robots plan on all moving threats here (`plan_on: joined`)"
+)
+
+
+def read_plan(path: str | Path, world: World) -> Plan:
+    """Read a plan for a world: `mrac-plan`, or an external plan.
+
+    Args:
+        path: the file.
+        world: the map.
+
+    Raises:
+        PlanError: names robot, step or area if it is no plan, is for another map or cannot be driven.
+    """
+    of, plan = read_plan_on(path, world)
+    if of is not world:
+        problem = "made by a release before 0.4, which planned on all moving threats where `plan_on` was not given"
+        raise PlanError(problem, source=path, fix='make the world with plan_on="joined", or make the plan again')
+    return plan
+
+
+def read_plan_on(path: str | Path, world: World) -> tuple[World, Plan]:
+    """The plan in a file and its world: `world`, or the same as releases before 0.4 made it.
+
+    So an older plan keeps its reading of a scenario without `plan_on` for moving threats; its notes say so.
+
+    Args:
+        path: the file.
+        world: the map.
+
+    Raises:
+        PlanError: as in `read_plan`.
+    """
+    source, before, data = str(path), as_before(world), read_plan_json(path)
+    if before is not world and _of_version_1(data, before.sha256):
+        plan = confirm_plan(parse_plan(data, before, source), before, source)
+        return before, replace(plan, notes=(*plan.notes, f"{source}: {KEPT_READING}"))
+    plan = parse_plan(data, world, source)
+    try:
+        return world, confirm_plan(plan, world, source)
+    except PlanError as error:
+        same = plan.settings is None or rules_of(world, plan.settings, closed=False) == BEFORE
+        if same or not _of_version_1(data, world.sha256):
+            raise
+        expected = f"{error.expected}; release 0.4 changed the rules for phases and for several types of robots"
+        raise PlanError(error.problem, source=source, expected=expected, fix=error.fix) from error
+
+
+def _of_version_1(data: object, sha256: str) -> bool:
+    """Whether a file's JSON is a plan of a release before 0.4 for the map with this hash."""
+    if not isinstance(data, dict) or data.get("format") != FORMAT or data.get("version") != 1:
+        return False
+    named = data.get("world")
+    return isinstance(named, dict) and named.get("sha256") == sha256

@@ -25,8 +25,8 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from planner.arguments import MAX_STEP
-from planner.errors import PlanError
+from planner.arguments import MAX_STEP, POSITIVE, argument
+from planner.errors import PlanError, UsageError
 from planner.make_plan import make_plan
 from planner.mrac.problem import Problem, prepare
 from planner.plan.plan import Plan, RobotPlan, entries
@@ -347,7 +347,7 @@ def make_open_loop_plan(world: World, starts: ArrayLike, settings: Settings, sec
     plan = Plan(
         world.shape, world.sha256, None, tuple(RobotPlan(path) for path in paths), outcome=Outcome.END_OF_PATHS.word,
         for_open_loop=True,
-        bears=settings.failure_model(), source=world.source,
+        failures=settings.failure_model(), source=world.source,
         notes=_notes(cells, before, done, effort, closed, "cells" if world.value is None else "of value"),
     )  # fmt: skip
     return replace(plan, time=plan.makespan)
@@ -389,3 +389,23 @@ def _notes(cells: float, before: float, done: int, effort: int, settings: Settin
     )
     short = (f"the search ended before its {effort:,} evaluations: its time limit was reached",) * (done < effort)
     return (f"{said}{settings.rule.name}; {done:,} evaluations", *short)
+
+
+def plan_team(world: World, starts: ArrayLike, settings: Settings | None = None, seconds: float | None = None) -> Plan:
+    """Make the plan for the loop of `settings.plan_for`: MRAC's nominal run (`make_plan`), or paths.
+
+    Args:
+        world: the map.
+        starts: `[K, 2]`, (row, col).
+        settings: of the planner; None: the defaults.
+        seconds: time limit of the search for an open-loop plan.
+
+    Raises:
+        WorldError, PlanError, UsageError: an invalid input.
+    """
+    POSITIVE.check("seconds", seconds, optional=True)
+    if settings is None or settings.plan_for == "closed_loop":
+        if seconds is not None:
+            raise UsageError(f"{argument('seconds', seconds)} is for plans for the open loop", fix="leave it out")
+        return make_plan(world, starts, settings)
+    return make_open_loop_plan(world, starts, settings, seconds)

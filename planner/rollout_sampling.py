@@ -18,14 +18,14 @@ from planner.world.uncertain_maps import HAZARD_DRAW, MAP_DRAW, UNIT, Hazard, Un
 from planner.world.world import World
 
 
-class Luck:
+class LossDraws:
     """Random numbers of one rollout, in the order of the run: threats may be spent, and hazards accumulate.
 
     Args:
         world: the map.
         seed: 0 <= seed < 2**64.
         rollout: id.
-        bearing: the failure model.
+        failure_model: of the team.
     """
 
     def __init__(self, world: World, seed: int, rollout: int, failure_model: FailureModel = PLAIN) -> None:
@@ -54,7 +54,7 @@ class Luck:
 
     def _reaches_threshold(self, robot: int, chance: np.float32) -> bool:
         if robot not in self._threshold:
-            self._threshold[robot] = int(self._failures.tolerances(self._seed, [self._rollout], robot + 1)[0, robot])
+            self._threshold[robot] = int(self._failures.thresholds(self._seed, [self._rollout], robot + 1)[0, robot])
         self._hazard[robot] += _exposure(chance)
         return self._hazard[robot] >= self._threshold[robot]
 
@@ -93,24 +93,24 @@ def chance_bound(chance: float) -> int:
     return int(bounds_of(np.array([chance], dtype=np.float32))[0])
 
 
-def first_places(movers: MovingThreats, seed: int, rollouts: ArrayLike) -> NDArray[np.int64]:
+def first_places(threats: MovingThreats, seed: int, rollouts: ArrayLike) -> NDArray[np.int64]:
     """int64 `[B, M]`: positions of moving threats before their first move: cells, or indices on their routes.
 
     Args:
-        movers: the moving threats.
+        threats: the moving threats.
         seed: 0 <= seed < 2**64.
         rollouts: ids `[B]`.
     """
-    ids, total = np.asarray(rollouts, dtype=np.uint32), np.cumsum(movers.weight.ravel())
-    places = np.empty((len(ids), len(movers.members)), dtype=np.int64)
-    for number, mover in enumerate(movers.members):
-        if mover.place != ANYWHERE:
-            places[:, number] = mover.place
+    ids, total = np.asarray(rollouts, dtype=np.uint32), np.cumsum(threats.weight.ravel())
+    places = np.empty((len(ids), len(threats.members)), dtype=np.int64)
+    for number, member in enumerate(threats.members):
+        if member.place != ANYWHERE:
+            places[:, number] = member.place
             continue
         word = threefry2x32(own_key(seed, MOVE_DRAW), ids, number)[0].astype(np.int64)
-        size = len(mover.route) if mover.patrols else int(total[-1])
+        size = len(member.route) if member.patrols else int(total[-1])
         drawn = word * size >> 32
-        places[:, number] = drawn if mover.patrols else np.searchsorted(total, drawn, side="right")
+        places[:, number] = drawn if member.patrols else np.searchsorted(total, drawn, side="right")
     return places
 
 
@@ -123,18 +123,18 @@ def threat_paths(world: World, seed: int, rollout: int, steps: int) -> NDArray[n
         rollout: id.
         steps: number of steps.
     """
-    if world.movers is None:
+    if world.moving_threats is None:
         return np.zeros((steps, 0), dtype=np.int64)
-    members, key, paths = world.movers.members, own_key(seed, MOVE_DRAW), list[list[int]]()
-    near = neighbour_table(world.shape, ~np.isnan(world.movers.own.ravel()))
-    places: list[int] = first_places(world.movers, seed, [rollout])[0].tolist()
+    members, key, paths = world.moving_threats.members, own_key(seed, MOVE_DRAW), list[list[int]]()
+    near = neighbour_table(world.shape, ~np.isnan(world.moving_threats.own.ravel()))
+    places: list[int] = first_places(world.moving_threats, seed, [rollout])[0].tolist()
     for step in range(steps):
         words = threefry2x32(key, rollout, (step + 1) * len(members) + np.arange(len(members)))
         stays, where = np.stack(words) >> np.uint32(8)
-        for number, mover in enumerate(members):
-            if mover.patrols:
-                places[number] = (places[number] + 1) % len(mover.route)
-            elif stays[number] >= chance_bound(mover.stay):
+        for number, member in enumerate(members):
+            if member.patrols:
+                places[number] = (places[number] + 1) % len(member.route)
+            elif stays[number] >= chance_bound(member.stay):
                 # The neighbour, of N, W, E, S, that the random number selects; none is free: it stays.
                 ways = near[places[number]][near[places[number]] != NO_CELL].tolist()
                 places[number] = ways[int(where[number]) * len(ways) // UNIT] if ways else places[number]
@@ -148,9 +148,9 @@ def check_counters(world: World, robots: int, last_step: int) -> None:
     Raises:
         WorldError: it cannot.
     """
-    if world.movers is not None and (last_step + 1) * len(world.movers.members) * robots >= 2**32:
-        movers = len(world.movers.members)
+    if world.moving_threats is not None and (last_step + 1) * len(world.moving_threats.members) * robots >= 2**32:
+        threats = len(world.moving_threats.members)
         raise WorldError(
-            f"{movers} moving threats, {robots} robots and {last_step:,} steps", source=world.source,
+            f"{threats} moving threats, {robots} robots and {last_step:,} steps", source=world.source,
             expected="a product below 2**32", fix="fewer moving threats, or a deadline",
         )  # fmt: skip

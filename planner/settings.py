@@ -169,7 +169,7 @@ class Settings:
         return_to: bases that robots return to (SPEC section 19): "home", their own starts; "nearest", the nearest
             start; or cells, a tuple of (row, col); None = robots stay at their last cell.
         wrecks: "block": lost robots are obstacles for the others (SPEC section 15); "ignore": they are not.
-        deliver_every: cells carried with which a robot returns to a base and goes on; None = only at the end.
+        deliver_every: undelivered cells with which a robot returns to a base and goes on; None = only at the end.
         recharge: steps at a base that restore the range of a robot; None = never restored.
         types: robot types (SPEC section 22), one for all or one a robot, named in the world's matrix; None = the map's
             p applies to every robot.
@@ -244,7 +244,7 @@ class Settings:
         Numbers(1 / 64, 64.0), each=True, later=True,
     )  # fmt: skip
     return_to: str | tuple[tuple[int, int], ...] | None = _setting(
-        None, "return to", 'Return to: home (the own start), nearest (any start) or bases "row,col;row,col;...".',
+        None, "return to", 'Return to: home (its own start), nearest (any start) or bases "row,col;row,col;...".',
         words=("home", "nearest"), unset="nowhere", places=True, later=True, rare=False,
     )  # fmt: skip
     wrecks: str = _setting(

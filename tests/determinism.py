@@ -25,10 +25,10 @@ from helpers import VisitLoop
 
 from planner.errors import InputError
 from planner.make_plan import make_plan
+from planner.open_loop import plan_team
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.plan.state_file import parse_state
-from planner.plan_team import plan_team
 from planner.policies import RULES
 from planner.policies.rules import ORDERS
 from planner.rollouts.closed_loop import compile_closed_loop, trace_rollouts

@@ -175,7 +175,7 @@ def moving_world(
 
 def in_rows(world: World) -> tuple[list[list[float | None]], list[Threat]]:
     """The world as the oracle has it."""
-    movers, width = world.movers, world.shape[1]
+    movers, width = world.moving_threats, world.shape[1]
     grid = [[None if np.isnan(p) else float(p) for p in row] for row in movers.own]
 
     def cell(number: int) -> tuple[int, int]:

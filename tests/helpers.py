@@ -18,7 +18,7 @@ from analysis.statistics.variance_reduction import LEAST
 from planner.failure_model import key_of
 from planner.plan.plan import Plan, last_move
 from planner.plan.plan_file import parse_plan, read_plan_json
-from planner.rollout_sampling import Luck
+from planner.rollout_sampling import LossDraws
 from planner.rollouts import engine as engines
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.engine import Chunk, Engine, closed_loop_engine, open_loop_engine
@@ -76,7 +76,7 @@ def uniform(seed: int, rollout: ArrayLike, step: ArrayLike, robot: ArrayLike) ->
     return (word >> np.uint32(8)).astype(np.float32) * np.float32(2.0**-24)
 
 
-class VisitDraws(Luck):
+class VisitDraws(LossDraws):
     """Failures of one rollout, visit by visit."""
 
     _step = 0
@@ -139,7 +139,7 @@ def paths_of(run: SingleRun) -> list[np.ndarray]:
 
 
 def load_plan(path: str | Path, world: World) -> Plan:
-    """As `planner.plan_team.read_plan`, but a plan of today's rules alone, and nothing is planned. Raises PlanError."""
+    """As `planner.make_plan.read_plan`, but a plan of today's rules alone, and nothing is planned. Raises PlanError."""
     return parse_plan(read_plan_json(path), world, str(path))
 
 
@@ -157,12 +157,12 @@ def play_both_ways(
 ) -> list[SingleRun]:
     """Rollouts from 0 on, of the simulator as Python. The compiled one's are the same, event for event, and its counts.
 
-    So is the last of them where `Luck`, which is written apart, says visit by visit who is lost. `tabled`: with tables
-    of distances, or with searches, where the plan allows both.
+    So is the last of them where `LossDraws`, which is written apart, says visit by visit who is lost. `tabled`: with
+    tables of distances, or with searches, where the plan allows both.
     """
     python = PythonLoop(plan, world, first_only=first_only)
     runs = [python.run(seed, rollout) for rollout in range(rollouts)]
-    luck = Luck(world, seed, rollouts - 1, plan.failure_model)
+    luck = LossDraws(world, seed, rollouts - 1, plan.failure_model)
     assert_same_trace(SingleRun(python.loop, seed, rollouts - 1, hit=luck.hits).play().trace, runs[-1].trace, "told")
     for with_tables in tabled:
         loop = compile_closed_loop(plan, world, first_only=first_only, tabled=with_tables)

@@ -36,7 +36,7 @@ def plain_run(plan: Plan, world: World) -> Paper:
     asked = settings.policy, settings.transit, settings.max_steps, settings.density, settings.levels
     policy, transit, last, density, levels = asked
     plain = Settings(policy=policy, transit=transit, max_steps=last, density=density, levels=levels)
-    odd = world.knowledge, world.uncertainty, world.value, world.types, world.movers, plan.state
+    odd = world.knowledge, world.uncertainty, world.value, world.types, world.moving_threats, plan.state
     if settings != plain or policy not in RULES or plan.is_external or any(one is not None for one in odd):
         raise ValueError("the plain oracle knows `mrac` and `per_cell` alone, without limits, on a map that is known")
     starts = [(row, col) for row, col in plan.starts.tolist()]

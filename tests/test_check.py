@@ -92,9 +92,9 @@ def test_margins_point_one_way() -> None:
     """Above 0 it holds by so much, below 0 it fails by so much, whatever the direction."""
     margins = {
         formula: make_check(formula, 3.0, Truth.known(5.0), "open", 10.0).margin
-        for formula in ("mended_count", "ideal_team", "eq4")
+        for formula in ("corrected_count", "ideal_team", "eq4")
     }
-    assert margins == {"mended_count": 2.0, "ideal_team": -2.0, "eq4": -2.0}
+    assert margins == {"corrected_count": 2.0, "ideal_team": -2.0, "eq4": -2.0}
     above = make_check("ideal_team", 7.0, Truth.known(5.0), "open", 10.0)
     assert (above.margin, above.tightness) == (2.0, 1.4)
     assert make_check("ideal_team", 7.0, Truth.known(0.0), "open", 10.0).tightness is None
@@ -424,7 +424,7 @@ def test_what_is_proven_holds_there(example: Counterexample) -> None:
     proven = [check for check in checks if check.about.proven]
     assert len(proven) > 12
     assert {check.verdict for check in proven} <= {Verdict.HOLDS, Verdict.VACUOUS}
-    spread = [check for check in proven if check.formula == "mended_spread"]
+    spread = [check for check in proven if check.formula == "corrected_spread"]
     assert all(check.margin >= -1e-9 for check in spread)
 
 

@@ -150,7 +150,7 @@ def test_the_deadline_is_said_after_the_headline(capsys: pytest.CaptureFixture[s
     assert f". By step 40: {visited:.1f} % visited, {lost:.1f}" in said
     assert " of 4 robots lost on average. " in said and "is a 95 % confidence bound" in said
     assert run(["evaluate", WORLD, *words[:-1], "20"]) == 0
-    assert "95 % confidence" not in capsys.readouterr().out, "the headline says nothing of 95 % of runs then"
+    assert "95 % confidence" not in capsys.readouterr().out, "the summary says nothing of 95 % of runs then"
 
 
 @pytest.mark.usefixtures("few_lanes")

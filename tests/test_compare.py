@@ -17,7 +17,7 @@ from page_reader import refused
 import analysis.comparison
 import mrac_jax as mrac
 from analysis.cli.app import run
-from analysis.comparison import FIGURES, Comparison, compare, differing, headline, make_side, report
+from analysis.comparison import FIGURES, Comparison, compare, differing, make_side, report, summary
 from analysis.inputs import load_world
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.estimates import FIRST_LOOK
@@ -63,7 +63,7 @@ def test_turned_round_it_changes_sign_and_the_same_on_both_sides_differs_in_noth
         assert (one.mean, one.se) == pytest.approx((-other.mean, other.se), abs=1e-12)
         assert (none.mean, none.se, none.ci95) == (0, 0, (0, 0))
     assert (there.ahead, there.behind) == (back.behind, back.ahead) and same.ahead == same.behind == 0
-    assert headline(same) == "A and B are equal: no difference (exact)."
+    assert summary(same) == "A and B are equal: no difference (exact)."
 
 
 def test_rests_of_two_missions_differ_by_what_they_go_on_from(tmp_path: Path) -> None:
@@ -264,9 +264,9 @@ def test_the_headline_says_how_often_and_with_what_confidence() -> None:
         ((6000, 0), "100 % of runs, behind in 0 %."),
         ((5999, 1), "> 99.9 % of runs, behind in < 0.1 %."),
     ):
-        assert headline(replace(found, ahead=runs[0], behind=runs[1])).endswith(f"; B is ahead in {said}")
+        assert summary(replace(found, ahead=runs[0], behind=runs[1])).endswith(f"; B is ahead in {said}")
     for one, seen in ((found, ""), (few, "No difference seen: ")):
         vars(one)["exact_difference"] = lambda figure: None
-        said = headline(one)
+        said = summary(one)
         assert said.startswith(f"{seen}B (4 robots) visits ") and "95 %" not in said
         assert re.search(r"on average \(B - A: -?[\d.]+ \.\. [\d.]+, confidence 0\.95\); B is ahead in ", said)

@@ -64,7 +64,7 @@ def test_names_of_release_0_3_work_with_one_warning_and_are_not_listed() -> None
         "to_networkx": lambda old: old(world).nodes,
         "with_hazard": lambda old: old(world, "persistent", 0.5).uncertainty,
         "with_maps": lambda old: old(world, [world.threat]).uncertainty,
-        "with_movers": lambda old: old(world, [{"walk": 0.5, "h": 0.2}]).movers,
+        "with_movers": lambda old: old(world, [{"walk": 0.5, "h": 0.2}]).moving_threats,
         "with_phases": lambda old: old(world, [(3, [[0, 0, 0, 0]])]).phases,
         "with_prior": lambda old: old(world, 0.1, sense=1).knowledge,
         "with_sense": lambda old: old(world.with_prior_map(0.1), 2).knowledge,

@@ -17,7 +17,7 @@ from analysis.sampling import RolloutChoices, make_singles
 from mrac_jax.arrays import threshold_pairs
 from mrac_jax.env.area_env import COLUMNS, AreaEnv
 from mrac_jax.env.coverage_env import ACTIONS, AT_ONCE, PLANES, CoverageEnv, State
-from planner.failure_model import exposure_of, tolerances
+from planner.failure_model import exp1_thresholds, exposure_of
 from planner.make_plan import make_plan
 from planner.mission.external_allocation import ChosenRun
 from planner.policies import RULES, Rule
@@ -105,7 +105,7 @@ def test_transitions_are_those_of_the_plain_rules() -> None:
     """7,000 steps of the team, event for event: places, rewards, who is lost, what was visited, the end."""
     env, seed, rollouts = made(robot_value=2.5, max_steps=STEPS), 2**40 + 11, np.arange(100)
     states, draw = begin(env, seed, rollouts), np.random.default_rng(3)
-    starts, bears = (env.starts @ [COLS, 1]).tolist(), tolerances(seed, rollouts, ROBOTS).tolist()
+    starts, bears = (env.starts @ [COLS, 1]).tolist(), exp1_thresholds(seed, rollouts, ROBOTS).tolist()
     twins = [Twin(env.world, starts, of, 2.5, STEPS) for of in bears]
     done, taken = np.zeros(len(twins), bool), 0
     for _ in range(STEPS):

@@ -69,7 +69,7 @@ def test_the_open_loop_is_exact_on_each_map() -> None:
     mean = visited @ cells / 4096
     assert abs(mean - means.mean()) < 5 / np.sqrt(4096)
     assert said["bounds"]["ideal_team"] is said["bounds"]["theorem3"]["visited"]["travel_set"] is None
-    total = doubt["sd"]["maps"] ** 2 + doubt["sd"]["luck"] ** 2
+    total = doubt["sd"]["maps"] ** 2 + doubt["sd"]["random_numbers"] ** 2
     np.testing.assert_allclose(total, visited @ (cells - mean) ** 2 / 4096, rtol=1e-3)
     assert said["verdicts"] == {} and figure_of(report(answer), "map_variance.png").axes
 
@@ -114,7 +114,7 @@ def test_doubt_and_luck_are_told_apart(kind: str, seeds: int) -> None:
     for seed in range(seeds):
         said = mrac.evaluate(world, 1, seed=seed, **(QUIET | {"rollouts": 4096})).to_json()["map_variance"]
         assert 0.98 * KINDS[kind][0] <= said["maps"] <= KINDS[kind][0] and said["of"] == KINDS[kind][1]
-        for at, name in enumerate(("maps", "luck")):
+        for at, name in enumerate(("maps", "random_numbers")):
             low, high = said["sd_ci95"][name]
             held[at] += low <= truth[at] + 1e-9 and truth[at] - 1e-9 <= high
         variances.append([value**2 for value in said["sd"].values()])
@@ -190,7 +190,7 @@ def test_what_is_refused_is_refused_before_anything_is_planned(asked: dict, monk
     def plan(*given: object, **more: object) -> None:
         raise AssertionError("planned")
 
-    monkeypatch.setattr("planner.plan_team.plan_team", plan)
+    monkeypatch.setattr("planner.open_loop.plan_team", plan)
     world = BASE.with_spread("lognormal", 0.3)
     world = world if asked else world.with_values(2.0)
     with pytest.raises(InputError, match="one known map"):
@@ -415,7 +415,7 @@ def test_others_have_no_such_figure():
     world = SITE.with_latent_hazard("persistent", Q, 0.5, learn=True)
     answer = mrac.evaluate(world, 2, rollouts=10, loop="open", **QUIET_EXPERIENCE)
     assert "experience" not in answer.outputs
-    assert "learning" not in report(answer).headline
+    assert "learning" not in report(answer).summary
 
 
 # What is answered where threats move: evaluate, its page and JSON, recordings, and what refuses in words.

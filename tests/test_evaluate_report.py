@@ -18,7 +18,7 @@ from analysis.evaluation import report
 from analysis.evaluation.evaluate import Evaluation, cut_off, evaluate
 from analysis.evaluation.figures import Chance, sampled_share
 from analysis.evaluation.outputs.over_time import BAND_LEAST, BAND_MOST, SHARE, STEPS, Band
-from analysis.evaluation.report import QUANTILES_NOTE, cells_text, completion_text, headline, losses_text, return_text
+from analysis.evaluation.report import QUANTILES_NOTE, cells_text, completion_text, losses_text, return_text, summary
 from analysis.evaluation.report import report as evaluation_report
 from analysis.evaluation.tables import WORDS, answer_tables, formula_counts, formulas_text, over_time
 from analysis.page.charts import chart_html
@@ -62,8 +62,8 @@ SAID = {
     (20, 0): "1 of 1 robot lost on average; all in 100 % of runs, none in 0 %.",
     (3722, 6278): "0.37 of 1 robot lost on average; all in 37.2 % of runs, none in 62.8 %.",
     (60, 30, 10): "1.5 of 2 robots lost on average; all in 60 % of runs, none in 10 %.",
-    (19990, 10, *[0] * 7): "> 7.99 of 8 robots lost on average; all in 99.95 % of runs, none in 0 %.",
-    (0, 0, 1, 99999): "< 0.01 of 3 robots lost on average; all in 0 % of runs, none in 99.999 %.",
+    (19990, 10, *[0] * 7): "More than 7.99 of 8 robots lost on average; all in 99.95 % of runs, none in 0 %.",
+    (0, 0, 1, 99999): "Fewer than 0.01 of 3 robots lost on average; all in 0 % of runs, none in 99.999 %.",
     (0, 40, 60, 0): "1.4 of 3 robots lost on average; all in 0 % of runs, none in 0 %.",
 }
 """Sentences by the runs that left 0, 1, ... robots."""
@@ -73,8 +73,9 @@ SAID = {
 def test_losses_in_words_and_in_the_headline(alive: tuple[int, ...]) -> None:
     evaluation = evaluation_of(list(alive))
     assert losses_text(evaluation) == SAID[alive]
-    said = headline(evaluation)
-    assert said.endswith(f", with {SAID[alive].partition(';')[0]}.")
+    said = summary(evaluation)
+    lost = SAID[alive].partition(";")[0]
+    assert said.endswith(f", with {lost[0].lower()}{lost[1:]}.")
     check_one_meaning(said)
 
 
@@ -90,7 +91,7 @@ def test_a_robot_lost_before_the_runs_is_told_apart() -> None:
     rest = resumed([60, 30, 10, 0])
     mean = "1.5 of 2 robots that were left lost on average"
     assert losses_text(rest) == f"{mean}; all in 60 % of runs, none in 10 %. 1 robot lost before."
-    assert headline(rest).endswith(f", with {mean}.")
+    assert summary(rest).endswith(f", with {mean}.")
     assert losses_text(resumed([0, 0, 9, 0])).startswith("0 of 2 robots (0.9 or fewer) that were left lost on average;")
 
 
@@ -103,7 +104,7 @@ def check_one_meaning(said: str) -> None:
 def test_the_headline_has_a_half_width_and_what_19_of_20_runs_reach(capsys: pytest.CaptureFixture[str]) -> None:
     world = mrac.load([[0, 0.1, 0, 0.2], [0, 0, 0.1, 0]])
     answer = mrac.evaluate(world, 2, rollouts=2000, exact="never", advice=False, band=False)
-    said, mean = headline(answer), without_level(answer.visited.describe(100, " %"))
+    said, mean = summary(answer), without_level(answer.visited.describe(100, " %"))
     assert "±" in mean and said.startswith(f"2 robots visit {mean} of the accessible cells on average (at least ")
     assert " % in 19 of 20 runs), " in said
     check_one_meaning(said)
@@ -113,7 +114,7 @@ def test_the_headline_has_a_half_width_and_what_19_of_20_runs_reach(capsys: pyte
         r"covers [\d.]+ points ± [\d.]+ more than robots .* \([\d.]+ %, exact\)\.$", report.gain_text(answer)
     )
     few = mrac.evaluate(world, 2, rollouts=20, exact="never", advice=False, band=False)
-    assert "19 of 20" not in headline(few) and QUANTILES_NOTE not in shown(few, 200)
+    assert "19 of 20" not in summary(few) and QUANTILES_NOTE not in shown(few, 200)
 
 
 def test_what_19_of_20_runs_reach_is_rounded_downwards() -> None:
@@ -121,14 +122,14 @@ def test_what_19_of_20_runs_reach_is_rounded_downwards() -> None:
     for least, said in ((9, "100 %"), (8, "88.8 %"), (5, "55.5 %")):
         found = replace(whole)
         vars(found)["shown"] = replace(whole.shown, assured=least)
-        assert report.assured_text(found) == said and f"(at least {said} in 19 of 20 runs)" in headline(found)
+        assert report.assured_text(found) == said and f"(at least {said} in 19 of 20 runs)" in summary(found)
 
 
 def test_nothing_is_added_to_a_mean_that_every_run_reaches() -> None:
     """The one danger is in the last cell, which is visited before it stops the robot."""
     for world in ([[0, 0, 0, 0, 0.3]], [[0, 0], [np.nan, 0.2]]):
         answer = mrac.evaluate(mrac.load(world), 1, rollouts=500, advice=False, band=False)
-        assert headline(answer).startswith("1 robot visits 100 % (exact) of the accessible cells on average, with 0.")
+        assert summary(answer).startswith("1 robot visits 100 % (exact) of the accessible cells on average, with 0.")
         assert not {report.INTERVALS, QUANTILES_NOTE} & set(shown(answer, 500).splitlines())
 
 
@@ -150,7 +151,7 @@ def test_the_last_move_is_told_only_where_nobody_waits_for_news() -> None:
 
 
 def test_no_robot_can_be_lost_without_danger() -> None:
-    assert headline(evaluation_of([0, 0, 9], threat=0.0)).endswith(" on average, no robot can be lost.")
+    assert summary(evaluation_of([0, 0, 9], threat=0.0)).endswith(" on average, no robot can be lost.")
     assert losses_text(evaluation_of([0, 0, 9], threat=0.0)) == "No robot can be lost."
 
 
@@ -325,8 +326,9 @@ TEXTS = {
     "bounds from above": ([ceiled(x) for x in (0.999951, 0.12341, 0.29)], ["99.996 %", "12.35 %", "29.00 %"]),
     "100 is whole": ([ceiled(x) for x in (1 - 1e-10, 1.0, 1 - 2e-8)], ["100 %", "100 %", "99.999998 %"]),
     "robots": ([robots_text(mean, 8) for mean in (0.0, 1e-9, 0.006, 4.0, 7.994, 7.9999, 8.0)],
-               [f"{mean} of 8 robots" for mean in ("0", "< 0.01", "0.01", "4.00", "7.99", "> 7.99", "8")]),
-    "one robot": ([robots_text(0.999, 1)], ["> 0.99 of 1 robot"]),
+               [f"{mean} of 8 robots"
+                for mean in ("0", "fewer than 0.01", "0.01", "4.00", "7.99", "more than 7.99", "8")]),
+    "one robot": ([robots_text(0.999, 1)], ["more than 0.99 of 1 robot"]),
     "losses in a table": (
         [estimates.losses_shown(estimate(*one), 8)
          for one in ((8, 7.981, 8), (7.9996, 7.996, 8), (0, 0, 0.0009), (1.873, 1.868, 1.878), (2.5, 2.5, 2.5))],
@@ -478,7 +480,7 @@ def shown(evaluation: Evaluation, width: int, theory: bool = False) -> str:
 def test_the_answer_losses_chances_and_time_come_first(loop: str, answers: dict[str, Evaluation]) -> None:
     answer = answers[loop]
     said = shown(answer, 200)
-    wanted = [headline(answer), "Chances in %", "time, steps", "Coverage, %", losses_text(answer),
+    wanted = [summary(answer), "Chances in %", "time, steps", "Coverage, %", losses_text(answer),
               "accessible,", "makespan", "rollouts,"]  # fmt: skip
     places = [said.index(words) for words in wanted]
     assert places == sorted(places) and places[0] == 0

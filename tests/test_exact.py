@@ -266,7 +266,7 @@ def test_losses_alive_and_time_of_the_closed_loop_are_its_own() -> None:
 
 
 def test_sentences_say_the_exact_value_where_it_is_known() -> None:
-    """Few rollouts miss it: the headline, the sentences, the tile and the table agree."""
+    """Few rollouts miss it: the summary, the sentences, the tile and the table agree."""
     answer = mrac.evaluate(WORLD, mrac.plan(WORLD, starts=STARTS), rollouts=64, **QUIET)
     robots, steps = answer.exact, f"{answer.exact.time:,.0f} steps on average"
     lost, sampled = f"{3 - robots.alive:.2f}", f"{answer.tally.alive @ np.arange(3, -1, -1) / 64:.2f}"

@@ -27,20 +27,18 @@ from planner.errors import PER_VISIT, InputError, PlanError, ScenarioError, Stat
 from planner.failure_model import (
     PLAIN,
     FailureModel,
+    exp1_thresholds,
     exposure_of,
     key_of,
     least_word,
-    susceptible,
+    scaled_thresholds,
     threshold_key,
-    tolerances,
     weibull_nodes,
-    worn,
+    weibull_thresholds,
 )
-from planner.failure_model import susceptible as made_susceptible
-from planner.make_plan import make_plan
+from planner.make_plan import make_plan, read_plan
 from planner.plan.plan import Plan
 from planner.plan.state_file import parse_state
-from planner.plan_team import read_plan
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.exact_tree import grow_tree
@@ -96,17 +94,17 @@ def test_words_tolerances_and_exposures_are_the_known_ones() -> None:
     assert exposure_of(np.array(p, dtype=np.float32)).tolist() == list(found)
     assert exposure_of([np.nan, 0.0, 1.0]).tolist() == [0, 0, CERTAIN]
     drawn = np.array(WORDS["random_seed0_ids0to9_k4"])
-    assert np.array_equal(tolerances(0, range(len(drawn)), 4), threshold_of(drawn))
+    assert np.array_equal(exp1_thresholds(0, range(len(drawn)), 4), threshold_of(drawn))
 
 
 def test_wear_and_susceptibility_are_the_known_ones() -> None:
     for shape, pairs in WORDS["weibull_shape"]:
         before, after = np.array(pairs).T
-        assert np.array_equal(worn(before, shape), after), shape
+        assert np.array_equal(weibull_thresholds(before, shape), after), shape
     for before, times, after in WORDS["susceptible"]:
-        assert susceptible(before, times) == after
+        assert scaled_thresholds(before, times) == after
     anything = np.array([LEAST, 2, 12345678901, MOST])
-    assert np.array_equal(susceptible(anything, 1.0), anything)
+    assert np.array_equal(scaled_thresholds(anything, 1.0), anything)
 
 
 def test_a_tolerance_is_the_logarithm_and_an_exposure_is_rounded_right() -> None:
@@ -141,7 +139,7 @@ def test_the_least_word_that_stops_is_where_tolerances_reach_the_exposure() -> N
 def test_rollouts_are_those_of_an_independent_simulator(name: str) -> None:
     answers, world = known(name), world_of(name)
     seed, robots = answers["seed"], len(answers["starts"])
-    assert tolerances(seed, range(16), robots)[: len(answers["tolerance"])].tolist() == answers["tolerance"][:16]
+    assert exp1_thresholds(seed, range(16), robots)[: len(answers["tolerance"])].tolist() == answers["tolerance"][:16]
     assert {str(cell): int(world.exposures[0][cell]) for cell in map(int, answers["exposure"])} == answers["exposure"]
     plan = make_plan(world, world.starts)
     python, loop = PythonLoop(plan, world), compile_closed_loop(plan, world)
@@ -211,8 +209,8 @@ def test_a_recording_that_names_no_randomness_is_opened_and_not_replayed(tmp_pat
 
 
 def test_a_robot_bears_the_same_in_teams_of_every_size() -> None:
-    assert np.array_equal(tolerances(4, range(9), 2), tolerances(4, range(9), 7)[:, :2])
-    assert np.array_equal(tolerances(4, [8], 2), tolerances(4, range(9), 2)[8:])
+    assert np.array_equal(exp1_thresholds(4, range(9), 2), exp1_thresholds(4, range(9), 7)[:, :2])
+    assert np.array_equal(exp1_thresholds(4, [8], 2), exp1_thresholds(4, range(9), 2)[8:])
 
 
 # Robots that wear, and robots that differ: known answers, every engine, the law by enumeration, closed forms.
@@ -242,7 +240,7 @@ def test_an_exposure_reaches_the_tolerances_that_wear_brings_down_to_it(shape: f
     units, nodes = round(times * 2**16), weibull_nodes(shape)
 
     def hazard(tolerance: np.ndarray) -> np.ndarray:
-        return made_susceptible(worn(tolerance, shape), units / 2**16)
+        return scaled_thresholds(weibull_thresholds(tolerance, shape), units / 2**16)
 
     for more in (-1, 0, 1):
         exposure = hazard(drawn) + more
@@ -256,7 +254,7 @@ def test_an_exposure_reaches_the_tolerances_that_wear_brings_down_to_it(shape: f
 @pytest.mark.parametrize("name", NAMES)
 def test_worn_rollouts_are_those_of_an_independent_simulator(name: str) -> None:
     (world, plan), weibull_shape, seed = worn_plan(name), known(name)["weibull_shape"], known(name)["seed"]
-    found = plan.failure_model.tolerances(seed, range(len(weibull_shape["tolerance"])), len(plan.robots))
+    found = plan.failure_model.thresholds(seed, range(len(weibull_shape["tolerance"])), len(plan.robots))
     assert found.tolist() == weibull_shape["tolerance"]
     python, loop = PythonLoop(plan, world), compile_closed_loop(plan, world)
     _, singles = run_range(loop, seed, 0, len(weibull_shape["rollouts"]), singles=True, threads=1)

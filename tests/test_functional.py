@@ -21,7 +21,7 @@ from analysis.evaluation.outputs import what_if
 from analysis.theory.exact import coverage_gradient, open_loop_exact
 from mrac_jax import functional as F
 from planner.errors import InputError, PlanError, UsageError, WorldError
-from planner.failure_model import tolerances
+from planner.failure_model import exp1_thresholds
 from planner.make_plan import make_plan
 from planner.plan.plan import Plan
 from planner.plan.state_file import parse_state
@@ -178,12 +178,12 @@ def test_keys_of_jax_draw_the_seed() -> None:
 def test_thresholds_are_those_of_every_engine() -> None:
     ids = jnp.arange(90, 130, dtype=jnp.uint32).reshape(4, 10)
     found = np.asarray(jax.jit(partial(F.thresholds, 2**40 + 7, robots=6))(ids=ids)).astype(np.int64)
-    expected = tolerances(2**40 + 7, np.asarray(ids).ravel(), 6).reshape(4, 10, 6)
+    expected = exp1_thresholds(2**40 + 7, np.asarray(ids).ravel(), 6).reshape(4, 10, 6)
     np.testing.assert_array_equal((found[..., 0] << 32) + found[..., 1], expected)
     edges = np.array([0, 1, 77, 2**32 - 1])
     for seed in (0, 5, 2**64 - 1):
         found = np.asarray(F.thresholds(seed, edges, 3)).astype(np.int64)
-        np.testing.assert_array_equal((found[..., 0] << 32) + found[..., 1], tolerances(seed, edges, 3))
+        np.testing.assert_array_equal((found[..., 0] << 32) + found[..., 1], exp1_thresholds(seed, edges, 3))
     drawn = jax.vmap(lambda key: F.thresholds(key, 0, 3))(jax.random.split(jax.random.key(2), 2000))
     nats = np.asarray(drawn, dtype=np.float64) @ [1, 2.0**-32]
     assert abs(nats.mean() - 1) < 5 / np.sqrt(nats.size)

@@ -19,7 +19,7 @@ from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.plan.state_file import parse_state
 from planner.policies.rules import Rule
-from planner.rollout_sampling import Luck
+from planner.rollout_sampling import LossDraws
 from planner.rollouts.closed_loop import trace_from
 from planner.rollouts.single_run import PythonLoop
 from planner.settings import Settings
@@ -70,7 +70,7 @@ def obey(mission: Mission) -> None:
 
 
 def step_by_luck(
-    mission: Mission, luck: Luck, *, doubled: bool = False, sees: Any = None, file: Path | None = None, **how: Any
+    mission: Mission, luck: LossDraws, *, doubled: bool = False, sees: Any = None, file: Path | None = None, **how: Any
 ) -> Mission:
     """One step in which every robot does what it is told, one after the other, and luck says who is stopped.
 
@@ -109,7 +109,7 @@ def trace_of(mission: Mission, steps: list[Any], rollout: int, outcome: Outcome)
 def assert_driven_is_the_closed_loop(world: World, plan: Plan, seed: int, rollout: int) -> Outcome:
     """Event for event, asking for orders before each robot moves."""
     mission, steps = Mission(world, plan, patience=None), list[Any]()
-    luck = Luck(world, seed, rollout, plan.failure_model)
+    luck = LossDraws(world, seed, rollout, plan.failure_model)
     while mission.outcome is None:
         mission = step_by_luck(mission, luck, doubled=rollout % 2 == 1)
         steps.append((mission._fleet.frame(), mission._fleet.new_events))
@@ -168,7 +168,7 @@ def test_so_it_is_from_a_state_and_through_its_file(more: dict[str, Any], every:
     for seed in range(1):
         world, plan = case(seed, **more)
         whole = PythonLoop(plan, world).run(seed, 1)
-        luck, mission = Luck(world, seed, 1, plan.failure_model), Mission(world, plan)
+        luck, mission = LossDraws(world, seed, 1, plan.failure_model), Mission(world, plan)
         while mission.outcome is None:
             file = tmp_path / "now.json" if mission.step % every == 0 else None
             mission = step_by_luck(mission, luck, file=file, world=world, plan=plan)
@@ -182,7 +182,7 @@ def test_so_it_is_from_a_state_and_through_its_file(more: dict[str, Any], every:
 def test_in_which_order_robots_report_in_a_step_is_all_one() -> None:
     world, plan = case(2, policy="per_cell", risk_cap=0.3)
     stream, missions = Stream(5, 32), [Mission(world, plan) for _ in range(3)]
-    luck = Luck(world, 5, 0)
+    luck = LossDraws(world, 5, 0)
     while missions[0].outcome is None:
         said = []
         for order in missions[0].orders().values():
@@ -673,7 +673,7 @@ def drive(
     `met`: the world that luck and the simulation know, if robots only see what it is like.
     """
     met = met or world
-    plan, luck, places = make_plan(world, starts, settings), Luck(met, seed, 0), []
+    plan, luck, places = make_plan(world, starts, settings), LossDraws(met, seed, 0), []
     trace = PythonLoop(make_plan(met, starts, settings), met).trace(seed, 0)
     how: dict[str, Any] = {"world": world, "plan": plan, "patience": None}
     mission = Mission(**how)

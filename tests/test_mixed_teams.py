@@ -15,11 +15,11 @@ from test_return_home import check_rules, ways
 
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError, PlanError
-from planner.make_plan import make_plan
+from planner.make_plan import make_plan, read_plan
 from planner.mrac.problem import prepare
+from planner.open_loop import plan_team
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
-from planner.plan_team import plan_team, read_plan
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.single_run import PythonLoop

@@ -64,7 +64,7 @@ BOOK, COUNTING, ENGINE, EVENTS, DECISIONS = (
 INTERPRETED = {
     "classical tie order": Fault(AREAS, "or cost < best_cost):", "or cost <= best_cost):"),
     "classical survivors find the state that the others left": Fault(
-        ROLL, "lost = hand(level_of(stack, top))", "lost = hand(level_of(stack, top))._replace(movers=s.movers)"
+        ROLL, "lost = hand(level_of(stack, top))", "lost = hand(level_of(stack, top))._replace(movers=s.moving)"
     ),
     "classical set parted, and the order of the hit ones lost": Fault(
         "planner/simulator/failure_sampling.py", "ids[kept + index] = words[index]", "ids[kept + index] = words[0]"

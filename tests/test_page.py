@@ -20,10 +20,10 @@ from rich.table import Table
 import mrac_jax as mrac
 from analysis.checking.check import coverage as coverage_chart
 from analysis.checking.check import make_survey, run_survey
-from analysis.checking.report import check_report, survey_headline, survey_report
+from analysis.checking.report import check_report, survey_report, survey_summary
 from analysis.evaluation.evaluate import Evaluation, evaluate
 from analysis.evaluation.layers import nominal, picked
-from analysis.evaluation.report import bound_text, completion_text, headline, losses_text, report
+from analysis.evaluation.report import bound_text, completion_text, losses_text, report, summary
 from analysis.evaluation.tables import distribution, formulas_text, over_time
 from analysis.page import document
 from analysis.page.charts import chart_html
@@ -279,7 +279,7 @@ def test_evaluation_page(answer: Evaluation) -> None:
                         "How to reproduce"]  # fmt: skip
     known = 100 * answer.closed.visited.value / answer.tally.accessible
     for words in ("world.png", "evaluation.json", "plan.json", f"{known:.2f} %", answer.world.sha256[:16],
-                  "By step 40: ", "Results with scaled threats", headline(answer), COMMAND):  # fmt: skip
+                  "By step 40: ", "Results with scaled threats", summary(answer), COMMAND):  # fmt: skip
         assert words in reader.text
     assert len(page) < 300_000 and reader.text.count("No strategy visits more") <= 1
 
@@ -290,7 +290,7 @@ def test_the_answer_losses_chances_and_the_map_stand_before_the_sections(answer:
     page = page_of_reports(noted)
     reader = check_page_is_sound(page)
     tally = answer.tally
-    wanted = [headline(answer), bound_text(answer), "7 were cut off", "The map and the plan", "mean time",
+    wanted = [summary(answer), bound_text(answer), "7 were cut off", "The map and the plan", "mean time",
               "Chances in %, losses and time", "Coverage, % of", losses_text(answer), completion_text(answer),
               "Reassigning", "Expected coverage by the end", formulas_text(answer), "Theorem 3, C = ",
               "4 rows are dropped", "Versions: "]  # fmt: skip
@@ -418,7 +418,7 @@ def test_survey_page() -> None:
     )
     reader = check_page_is_sound(page)
     assert len(page) < 300_000 and page == later
-    assert survey_headline(survey) in reader.text and COMMAND in reader.text
+    assert survey_summary(survey) in reader.text and COMMAND in reader.text
     assert all(row.check.about.title in reader.text for row in survey.rows)
     truths = [
         check.truth.value / entry.cells for entry in survey.entries if entry.robots == 2

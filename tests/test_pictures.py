@@ -481,7 +481,7 @@ def test_every_result_says_the_same_on_terminal_page_and_in_json(name: str, answ
     assert {file.name for file in answer.save(tmp_path)} == page_and_more | set(FILES[name].split())
     page = (tmp_path / "index.html").read_text()
     told = check_page_is_sound(page).text, " ".join((tmp_path / f"{name}.txt").read_text().split())
-    for line in (said.headline, *said.findings):
+    for line in (said.summary, *said.findings):
         assert line.replace("`", "") in told[0] and line in told[1]
     assert json.loads((tmp_path / f"{name}.json").read_text()) == json.loads(json.dumps(answer.to_json()))
     assert 2 <= len(repr(answer).splitlines()) <= 24 and answer._repr_html_().startswith("<b>")

@@ -37,9 +37,9 @@ from planner.arguments import COMMAND_LINE
 from planner.errors import InputError, MapError, PlanError, RenamedWarning, UsageError
 from planner.files import LONG_BYTES, read_csv_grid
 from planner.formatting import UNITS, UNPACED, Pace, seconds_of
-from planner.make_plan import confirm_plan, make_plan
+from planner.make_plan import confirm_plan, make_plan, read_plan
+from planner.open_loop import plan_team
 from planner.plan.plan import Area, Leg, Plan, RobotPlan, headings, waypoints_csv
-from planner.plan_team import plan_team, read_plan
 from planner.settings import SETTINGS, Choices, Settings
 from planner.simulator.codes import Outcome
 from planner.world.scenario import load_input

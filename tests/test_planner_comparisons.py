@@ -15,7 +15,7 @@ from oracle_tree import plain_run
 from analysis.statistics.estimates import mean_estimate
 from planner.make_plan import allocated_plan, make_plan
 from planner.plan.plan import Plan
-from planner.rollout_sampling import Luck
+from planner.rollout_sampling import LossDraws
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.single_run import PythonLoop
 from planner.settings import Settings
@@ -205,7 +205,7 @@ WORLDS, MANY = 100, 3000
 
 def luck_of(world: World, seed: int, rollout: int, *, first_only: bool = False) -> Callable[..., bool]:
     """Who is stopped in a rollout of the product."""
-    luck, entered = Luck(world, seed, rollout), set()
+    luck, entered = LossDraws(world, seed, rollout), set()
 
     def stopped(robot: int, step: int, cell: tuple[int, int]) -> bool:
         again = cell in entered

@@ -19,9 +19,8 @@ from analysis.theory.flow_programme import optimum
 from planner.errors import PlanError, UsageError
 from planner.make_plan import make_plan
 from planner.mrac.problem import ready_loop
-from planner.open_loop import make_open_loop_plan
+from planner.open_loop import make_open_loop_plan, plan_team
 from planner.plan.plan import Plan, RobotPlan
-from planner.plan_team import plan_team
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.single_run import SingleRun

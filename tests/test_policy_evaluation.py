@@ -24,11 +24,11 @@ from policies_study import (
     study_json,
     study_policies,
 )
-from policies_study import headline as study_headline
+from policies_study import summary as study_headline
 
 import mrac_jax as mrac
 from analysis.policy_evaluation.leaderboard import RANDOM, Leaderboard, Rolled, WorldResults
-from analysis.policy_evaluation.policy_evaluation import estimate_of, headline, roll_policy, scores_of
+from analysis.policy_evaluation.policy_evaluation import estimate_of, roll_policy, scores_of, summary
 from analysis.report.result import print_report
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.estimates import mean_estimate
@@ -208,7 +208,7 @@ def test_a_policy_meets_the_luck_of_plans() -> None:
     judged = mrac.judge(CORRIDOR, jax.jit(lambda seen: jnp.full(len(seen), EAST)), 1, rollouts=300, seed=9)
     assert judged.plans["mrac"].ahead.mean == 0 and judged.coverage.mean == visited.mean() / 12
     assert judged.random.mean < judged.coverage.mean < judged.bound + 4 * judged.coverage.se
-    assert re.search(r"It covers [\d.]+ % ± [\d.]+; ", repr(judged)) and "95 %" not in headline(judged)
+    assert re.search(r"It covers [\d.]+ % ± [\d.]+; ", repr(judged)) and "95 %" not in summary(judged)
     assert "upper bound: " in repr(judged) and judged.to_json()["score"]["mean"] == judged.score.mean
 
 

@@ -549,7 +549,7 @@ def recovered_from(data: bytes, folder: Path) -> tuple[Recovered, list[Said]]:
 def said_of(report: Recovered) -> list[str]:
     """What the command prints."""
     told = recovered(report)
-    return [told.headline, *told.findings]
+    return [told.summary, *told.findings]
 
 
 def refused(data: bytes, folder: Path) -> None:

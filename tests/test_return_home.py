@@ -12,7 +12,7 @@ from helpers import VisitLoop, assert_same_trace, delivered, load_plan, play_bot
 from numpy.typing import NDArray
 from validate import validate
 
-from analysis.comparison import compare, headline, make_side
+from analysis.comparison import compare, make_side, summary
 from analysis.estimators.trial import Trial
 from analysis.evaluation.evaluate import evaluate
 from analysis.sampling import RolloutChoices
@@ -24,10 +24,10 @@ from planner.errors import InputError, PlanError, ScenarioError, UsageError
 from planner.make_plan import allocated_plan, confirm_plan, make_plan
 from planner.mission.mission import Mission
 from planner.mrac.problem import prepare
+from planner.open_loop import plan_team
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.plan.state_file import parse_state
-from planner.plan_team import plan_team
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.exact_tree import WHOLE, grow_tree
 from planner.rollouts.single_run import PythonLoop
@@ -462,7 +462,7 @@ def test_teams_compared_by_cells_delivered() -> None:
     assert found.starts.tolist() == [[0, 2]]  # from there only the first cell is beyond the threat
     far, near = (make_side(world, make_plan(world, [start], home), choices) for start in ([0, 0], [0, 2]))
     answer = compare(far, near)
-    assert answer.figures[-1] == "delivered" and "delivers" in headline(answer) and answer.ahead > answer.behind == 0
+    assert answer.figures[-1] == "delivered" and "delivers" in summary(answer) and answer.ahead > answer.behind == 0
     assert answer.mean(far, "delivered") == pytest.approx(1.75 / 4, abs=0.02)
     one, two = (run_range(compile_closed_loop(far.plan, world), 0, start, 9)[0] for start in (0, 9))
     assert (one + two).delivered.sum() == 18

@@ -26,7 +26,7 @@ from analysis.theory.exact import coverage_gradient, open_loop_exact
 from planner.errors import InputError, PlanError, UsageError
 from planner.make_plan import make_plan
 from planner.policies import RULES
-from planner.rollout_sampling import Luck
+from planner.rollout_sampling import LossDraws
 from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.single_run import PythonLoop, SingleRun
 from planner.settings import Choices, Settings
@@ -314,7 +314,7 @@ def rolled_out(planned: World, true: World, ids: range) -> np.ndarray:
     robot_value = np.ones(true.threat.size) if true.value is None else true.value.ravel()
     plan = make_plan(planned, WORLD_CLEAR.starts, Settings())
     loop = compile_closed_loop(plan, planned, interpreted=True)
-    runs = [SingleRun(loop, hit=Luck(true, 3, rollout).hits).play() for rollout in ids]
+    runs = [SingleRun(loop, hit=LossDraws(true, 3, rollout).hits).play() for rollout in ids]
     return np.mean([[one.visited.sum(), (~one.alive).sum(), one.visited @ robot_value] for one in runs], axis=0)
 
 

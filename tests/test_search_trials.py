@@ -489,7 +489,7 @@ def test_one_sentence_says_what_was_found_and_what_no_strategy_exceeds() -> None
     plan = mrac.plan(world, 2, policy="best", seconds=1e-6)
     answer = mrac.evaluate(world, plan, rollouts=64)
     shown, limit = report(answer), answer.bounds.any_strategy
-    name, most = shown.headline.split(" on average with ")[1].split("; no strategy exceeds ")
+    name, most = shown.summary.split(" on average with ")[1].split("; no strategy exceeds ")
     name, _, lost = name.partition(", with ")
     assert lost.endswith(" of 2 robots lost on average") and "%" not in lost
     assert limit is not None and 0 <= float(most.split(" %")[0]) - 100 * limit.mean <= 0.01

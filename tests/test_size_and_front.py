@@ -41,7 +41,7 @@ from analysis.theory.exact import poisson_binomial
 from analysis.utils.tables import as_text
 from planner.errors import InputError, UsageError
 from planner.make_plan import make_plan
-from planner.plan_team import plan_team
+from planner.open_loop import plan_team
 from planner.rollouts import tables
 from planner.rollouts.engine import run_with_threshold_sums
 from planner.rollouts.single_run import PythonLoop

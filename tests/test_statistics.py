@@ -39,7 +39,7 @@ from analysis.statistics.variance_reduction import LEAST, Paired, difference, of
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import longest_mission, longest_run
 from planner.errors import UsageError
-from planner.failure_model import tolerances
+from planner.failure_model import exp1_thresholds
 from planner.json_objects import as_json
 from planner.make_plan import make_plan
 from planner.rollouts.engine import Engine, Rolling, make_engine, run_chunks, run_with_threshold_sums
@@ -349,7 +349,7 @@ def fitted(y: NDArray, total: NDArray[np.float64], robots: int) -> tuple[float, 
 @pytest.mark.parametrize(("start", "robots"), [(100, 5), (0, 40), (345_731_000, 8)])
 def test_classes_are_of_the_tolerances(start: int, robots: int) -> None:
     """Also of rollout 345,731,376, whose total in whole units is in another class than the logarithm in floats."""
-    expected = tolerances(7, np.arange(start, start + 500), robots).sum(axis=1) * CLASSES_A_NAT // UNIT
+    expected = exp1_thresholds(7, np.arange(start, start + 500), robots).sum(axis=1) * CLASSES_A_NAT // UNIT
     assert np.array_equal(classes_by_threshold(7, start, 500, robots), expected)
 
 

@@ -137,7 +137,7 @@ def test_the_saved_board_gives_the_same_figures_on_the_command_line(
     world = World.create(cells.reshape(14, 23), starts)
     exact = open_loop_exact(make_plan(world, starts, Settings(policy="per_cell", risk_cap=0.5)), world)
     covered = 100 * exact.visited / world.accessible(starts).sum()
-    assert f"would cover {covered:.2f} % (exact)" in lines[0]["headline"]
+    assert f"would cover {covered:.2f} % (exact)" in lines[0]["summary"]
 
     status, (saved,) = served.post("/save", board | {"rollouts": lines[-1]["rollouts"]})
     program, *words = shlex.split(saved["command"])
@@ -146,7 +146,7 @@ def test_the_saved_board_gives_the_same_figures_on_the_command_line(
     answer = json.loads(capfd.readouterr().out)
     done = lines[-1]
     assert (answer["rollouts"], answer["seed"]) == (done["rollouts"], 5)
-    said = done["headline"].partition("cover ")[2].partition(" % ±")[0]
+    said = done["summary"].partition("cover ")[2].partition(" % ±")[0]
     assert said == f"{100 * answer['coverage']['visited']['mean']:.{len(said.partition('.')[2])}f}"
     assert answer["losses"]["mean"] == 4 and done["figures"][1][0] == "4 of 4"
     by_then = done["figures"][3][0].partition(" % ±")[0]
@@ -169,7 +169,7 @@ def test_what_robots_do_not_know_costs_what_evaluate_says(
     _, (saved,) = served.post("/save", board | {"rollouts": lines[-1]["rollouts"]})
     assert run([*shlex.split(saved["command"])[1:], "--json", "--no-advice"]) == 0
     answer = json.loads(capfd.readouterr().out)
-    mean = lines[-1]["headline"].partition("robots cover ")[2].partition(" %")[0]
+    mean = lines[-1]["summary"].partition("robots cover ")[2].partition(" %")[0]
     assert mean == f"{100 * answer['coverage']['visited']['mean']:.{len(mean.partition('.')[2])}f}"
     price = answer["knowledge"]["price_of_not_knowing"]
     said, _, wide = figures["cost of the unknown map"][0].removesuffix(" (95 %)").partition(" points ± ")
@@ -512,7 +512,7 @@ def test_a_finger_paints_or_moves_an_enlarged_map(browser: Browser, tmp_path: Pa
     """On a phone: with Move chosen it scrolls the map and paints nothing, with a brush the other way round."""
     world = World.create(np.zeros((41, 50)))
     studio = Studio(Sketch(world, 1, Settings()), "x", tmp_path / "x.yaml", 0)
-    stage = "document.getElementById('headline').dataset.stage"
+    stage = "document.getElementById('summary').dataset.stage"
     view = "(() => { const v = document.querySelector('.view'); return [v.scrollLeft, v.scrollTop] })()"
     with serving(studio) as served:
         browser.open(served.address, width=390)
@@ -540,12 +540,12 @@ def test_a_finger_paints_or_moves_an_enlarged_map(browser: Browser, tmp_path: Pa
 
 @needs_browser
 def test_a_browser_paints_and_saves(served: Served, browser: Browser) -> None:
-    """A stroke by the pointer, one by the keyboard, undone, saved: the headline follows; nothing in names is run."""
-    headline, stage = ("document.getElementById('headline')." + name for name in ("textContent", "dataset.stage"))
+    """A stroke by the pointer, one by the keyboard, undone, saved: the summary follows; nothing in names is run."""
+    summary, stage = ("document.getElementById('summary')." + name for name in ("textContent", "dataset.stage"))
 
     def answered() -> str:
         browser.until(f"{stage} === 'done'")
-        return browser.run(headline).replace("\xa0", " ")
+        return browser.run(summary).replace("\xa0", " ")
 
     browser.open(served.address)
     first = answered()
@@ -565,7 +565,7 @@ def test_a_browser_paints_and_saves(served: Served, browser: Browser) -> None:
     for _ in range(2):
         browser.run("document.getElementById('undo').click()")
         answered()
-    assert browser.run(headline).replace("\xa0", " ") == first and browser.run(
+    assert browser.run(summary).replace("\xa0", " ") == first and browser.run(
         "document.getElementById('undo').disabled"
     )
     browser.run("document.getElementById('redo').click()")

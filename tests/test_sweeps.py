@@ -280,7 +280,7 @@ def test_one_generated_map_says_as_much_as_a_map_that_is_given(tmp_path: Path, r
             low, high = row.estimate(name).ci95
             assert low < high and row.estimate(name) is row.single[name]
         assert answer.widest == row.single["visited"].half_width
-        assert "exact" not in report.headline(answer)
+        assert "exact" not in report.summary(answer)
         more = run_sweep(spec, store, processes=1, precision=0.99)
         (row,) = more.rows
         assert row.maps == 2 and not row.single and more.widest < 0.99
@@ -959,8 +959,8 @@ def test_what_is_wrong_is_said_before_the_first_rollout(
 
 def test_the_maps_threats_leave_it_and_walk() -> None:
     world = TRUE.with_moving_threats(WALKS, "patrols")
-    assert world.movers is not None and (world.threat[TRUE.free] == 0).all()
-    assert [mover.hit for mover in world.movers.members] == TRUE.threat[TRUE.threat > 0].tolist()
+    assert world.moving_threats is not None and (world.threat[TRUE.free] == 0).all()
+    assert [mover.hit for mover in world.moving_threats.members] == TRUE.threat[TRUE.threat > 0].tolist()
     joined = TRUE.with_moving_threats(WALKS, "joined").threat[TRUE.free].astype(float)
     assert joined.mean() == pytest.approx(TRUE.threat[TRUE.free].mean(), rel=0.05) and joined.std() < 0.01
 

@@ -18,10 +18,9 @@ from analysis.theory.exact import open_loop_exact
 from planner.arguments import MAX_STEP
 from planner.errors import InputError
 from planner.failure_model import FailureModel
-from planner.make_plan import make_plan
+from planner.make_plan import make_plan, read_plan, read_plan_on
 from planner.plan.plan import Plan, RobotPlan
 from planner.plan.plan_file import read_plan_json
-from planner.plan_team import read_plan, read_plan_on
 from planner.rollout_sampling import first_places, threat_paths
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.engine import Rolling, make_engine
@@ -75,7 +74,7 @@ def test_rollouts_do_not_depend_on_how_they_are_run() -> None:
 def test_movers_that_hit_nobody_change_no_event() -> None:
     world = moving_world(5)
     plain = replace(world, threat=world.met, uncertainty=None)
-    tame = plain.with_moving_threats([replace(one, hit=0.0) for one in world.movers.members])
+    tame = plain.with_moving_threats([replace(one, hit=0.0) for one in world.moving_threats.members])
     np.testing.assert_array_equal(tame.threat, plain.threat)
     plan = make_plan(plain, place_starts(plain, 3)[0])
     traces, counts = [], []
@@ -196,8 +195,8 @@ def test_movers_stay_where_they_are_in_the_long_run() -> None:
     """Who starts anywhere is at every step in a cell with the chance of `joined`, within 5 standard errors."""
     world = moving_world(9, most=5)
     walker = replace(world, threat=world.met, uncertainty=None).with_moving_threats([MovingThreat(0.3, 0.2)], "joined")
-    chance, n = walker.movers.chances(walker.movers.members[0]).ravel(), 1500
-    starts = np.bincount(first_places(walker.movers, 4, range(n))[:, 0], minlength=chance.size)
+    chance, n = walker.moving_threats.chances(walker.moving_threats.members[0]).ravel(), 1500
+    starts = np.bincount(first_places(walker.moving_threats, 4, range(n))[:, 0], minlength=chance.size)
     later = np.bincount([int(threat_paths(walker, 4, one, 4)[-1, 0]) for one in range(n)], minlength=chance.size)
     for counts in (starts, later):
         spread = np.sqrt(n * np.maximum(chance * (1 - chance), 1 / n))
@@ -233,11 +232,11 @@ def test_a_scenario_and_its_world_file(tmp_path: Path) -> None:
     )
     square = MovingThreat(0.5, 0.0, 4, (0, 1, 4, 3))
     expected = (*[MovingThreat(0.25, 0.5)] * 3, MovingThreat(1.0, 0.0, 4), square, MovingThreat(0.5, 0.0, -1, (4, 5)))
-    assert world.movers.members == expected
+    assert world.moving_threats.members == expected
     assert "4 walk and 2 patrol, and destroy a robot that they meet with probability 0.25 to 1" in repr(world)
     world.save(tmp_path / "w.npz")
     again = load_world_file(tmp_path / "w.npz")
-    assert again.movers.members == expected
+    assert again.moving_threats.members == expected
     assert again.randomness_sha256 == world.randomness_sha256 == load_input(tmp_path / "w.npz").randomness_sha256
     both = "moving_threats: [{walk: 0.5, h: 0.25}, {patrol: [[0, 0], [0, 1]], h: 0.5}]\nplan_on: "
     assert not np.nan_to_num(scenario(tmp_path, both + "own").threat).any()
@@ -261,7 +260,7 @@ def test_robots_plan_on_those_that_have_a_route_unless_something_else_is_said(tm
     assert as_before(sure) is sure
     (note,) = scenario(tmp_path, "moving_threats: [{patrol: [[0, 0], [0, 1]], h: 0.5}]\n").notes
     plain = replace(world, threat=world.met, uncertainty=None, notes=())
-    assert plain.with_moving_threats(world.movers.members).sha256 == world.sha256
+    assert plain.with_moving_threats(world.moving_threats.members).sha256 == world.sha256
     walkers = scenario(tmp_path, "moving_threats: [{walk: 0.5, h: 0.25}]\n")
     np.testing.assert_array_equal(walkers.threat, walkers.met)
 
@@ -271,7 +270,7 @@ def test_a_plan_of_an_earlier_release_keeps_its_reading(tmp_path: Path) -> None:
     world, file = scenario(tmp_path, BOTH), tmp_path / "plan.json"
     made = make_plan(as_before(world), [[0, 0], [2, 1]])
     file.write_text(json.dumps(made.to_json() | {"version": 1}))
-    with patch("planner.plan_team.read_plan_json", wraps=read_plan_json) as read:
+    with patch("planner.make_plan.read_plan_json", wraps=read_plan_json) as read:
         of, plan = read_plan_on(file, world)
     assert read.call_count == 1
     assert of.sha256 == as_before(world).sha256 == plan.sha256 != world.sha256
@@ -286,7 +285,7 @@ def test_a_plan_of_an_earlier_release_keeps_its_reading(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="plan for another map"):
         read_plan_on(file, world)
     file.write_text(json.dumps(make_plan(world, [[0, 0], [2, 1]]).to_json()))
-    with patch("planner.plan_team.read_plan_json", wraps=read_plan_json) as read:
+    with patch("planner.make_plan.read_plan_json", wraps=read_plan_json) as read:
         assert read_plan_on(file, world)[0] is world
     assert read.call_count == 1
 
@@ -492,7 +491,7 @@ def test_who_wears_bears_what_each_phase_brings() -> None:
     exact = open_loop_exact(make_plan(world, [[0, 0]], Settings(weibull_shape=3.0)), world)
     borne = -np.log1p(-np.float64(np.float32(0.5)))  # it enters [0, 4] at step 4, safe in both; nothing before
     assert exact.survival[0] == 1.0 and borne > 0
-    back = Plan(world.shape, world.sha256, None, (RobotPlan(np.array([0, 1, 2, 3, 2, 1])),), bears=FailureModel(3.0))
+    back = Plan(world.shape, world.sha256, None, (RobotPlan(np.array([0, 1, 2, 3, 2, 1])),), failures=FailureModel(3.0))
     scale = round(2**20 / gamma(1 + 1 / 3)) / 2**20
     assert open_loop_exact(back, world).survival[0] == pytest.approx(np.exp(-((2 * borne / scale) ** 3)), rel=1e-4)
 

@@ -16,7 +16,7 @@ from planner.errors import InputError
 from planner.failure_model import own_key
 from planner.make_plan import make_plan
 from planner.plan.plan import Plan
-from planner.rollout_sampling import Luck
+from planner.rollout_sampling import LossDraws
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.engine import Rolling, make_engine, open_loop_engine
 from planner.rollouts.loop import typed
@@ -106,7 +106,7 @@ def test_hazards_and_maps_are_drawn_as_specified() -> None:
         assert own_key(7, purpose) == (int(word[0]), int(word[1]))
     world = TINY.with_latent_hazard("persistent", np.full((2, 3), 0.25), 1.0)
     there = threefry2x32(own_key(3, 0), np.arange(4000), 4)[0] >> 8 < 0.25 * 2**24
-    assert [Luck(world, 3, rollout).hits(0, 1, 4) for rollout in range(4000)] == there.tolist()
+    assert [LossDraws(world, 3, rollout).hits(0, 1, 4) for rollout in range(4000)] == there.tolist()
     assert abs(there.mean() - 0.25) < 5 * np.sqrt(0.25 * 0.75 / 4000)
 
 
@@ -278,7 +278,7 @@ def test_engines_count_what_luck_says(name: str) -> None:
     tally, found = engine.run(0, 200)
     play = open_loop(plan, world)
     for rollout in range(60):
-        visited, survived, alive, _ = play(Luck(world, 4, rollout).hits)
+        visited, survived, alive, _ = play(LossDraws(world, 4, rollout).hits)
         assert [found.visited[rollout], found.survived[rollout], found.alive[rollout]] == [visited, survived, alive]
     assert np.count_nonzero(tally.visited) > 4
     parts = open_loop_engine(compile_plan(plan, world), 4, "numba", threads=2)

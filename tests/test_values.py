@@ -38,7 +38,7 @@ from planner.json_objects import as_json
 from planner.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.plan.plan import Plan
-from planner.rollout_sampling import Luck
+from planner.rollout_sampling import LossDraws
 from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.single_run import SingleRun
@@ -60,7 +60,7 @@ DETECT = np.array([[0.5, 0.3, 1, 0.9], [0.8, 0.5, 0.2, 0], [0.25, 0.6, 0.4, 0.7]
 
 def survived_visits(world: World, plan: Plan, seed: int, rollout: int) -> np.ndarray:
     """int64 `[N]`, of one rollout of the simulator as Python: entries of each cell that stopped nobody."""
-    luck, passes = Luck(world, seed, rollout), np.zeros(world.threat.size, dtype=np.int64)
+    luck, passes = LossDraws(world, seed, rollout), np.zeros(world.threat.size, dtype=np.int64)
 
     def hit(robot: int, step: int, cell: int) -> bool:
         stopped = luck.hits(robot, step, cell)

@@ -46,8 +46,8 @@ from planner.arguments import argument, whole
 from planner.errors import UsageError
 from planner.formatting import counted
 from planner.make_plan import make_plan
+from planner.open_loop import plan_team
 from planner.plan.plan import Plan
-from planner.plan_team import plan_team
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.tables import AllPairs
 from planner.settings import Choices, Settings
@@ -85,7 +85,7 @@ class MapCheck(Result):
     partial: bool = False
     theory: Literal["main", "all"] = "main"
     json_keys = """
-        answer=headline robots=plan.team starts=plan.starts cells.total=world.threat.size cells.accessible=cells
+        answer=summary robots=plan.team starts=plan.starts cells.total=world.threat.size cells.accessible=cells
         plan.shares plan.plan_for rollouts seed alpha truth.open_loop.visited=exact.visited
         truth.open_loop.survived=exact.survived truth.closed_loop=closed checks failing faults=faulty left_out
     """
@@ -347,7 +347,7 @@ class Survey(Result):
     seconds: float
     partial: bool = False
     json_keys = """
-        answer=headline worlds choices.kind size robots=choices.teams rollouts.seed rollouts=rollouts.rollouts alpha
+        answer=summary worlds choices.kind size robots=choices.teams rollouts.seed rollouts=rollouts.rollouts alpha
         rows worst=worst_worlds faults seconds
     """
 
@@ -520,7 +520,7 @@ DRAWN = {
     "eq7_team/visited/closed": "upper bound, one robot, eq. (7)",
     "ideal_connected/visited/closed": "ours: upper bound, this map",
     "theorem3_interior_set/visited/open": "Theorem 3, C interior, set",
-    "mended_largest/visited/open": "ours: chances",
+    "corrected_largest/visited/open": "ours: chances",
     "until_first_loss/visited/closed": "ours: until the first loss",
 }
 """Bounds that are drawn with the coverage, by key of the check; as many as there are colours."""
@@ -566,9 +566,9 @@ PANELS = (
     "theorem3_interior_set/visited/open",
     "theorem3_travel_set/visited/open",
     "theorem3_interior_multiset/visited/open",
-    "mended_count/visited/open",
-    "mended_largest/visited/open",
-    "mended_spread/visited/open",
+    "corrected_count/visited/open",
+    "corrected_largest/visited/open",
+    "corrected_spread/visited/open",
     "eq7_team/visited/closed",
     "ideal_connected/visited/closed",
 )

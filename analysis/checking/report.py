@@ -50,7 +50,7 @@ def check_report(checked: MapCheck) -> Report:
     """The report of one map: all formulas in a table, their subject cell by cell, one scale in the picture."""
     return Report(
         "check", "check", asked(checked.world, len(checked.plan.robots), "which formulas hold?"),
-        check_headline(checked), checked,
+        check_summary(checked), checked,
         findings=_check_findings(checked), figures=_check_key_figures(checked), heading=_check_heading(checked),
         parts=(
             Section("Every formula", [_check_table(checked)], _check_footnotes(checked)),
@@ -62,7 +62,7 @@ def check_report(checked: MapCheck) -> Report:
     )  # fmt: skip
 
 
-def check_headline(checked: MapCheck) -> str:
+def check_summary(checked: MapCheck) -> str:
     """The summary: the paper's formulas that fail, and whether a proven one fails."""
     found = {key: overall(check for check in checked.checks if check.formula == key) for key in FORMULAS}
     paper, ours = (
@@ -277,7 +277,7 @@ COLUMNS = (
 def survey_report(survey: Survey) -> Report:
     """The report of a survey: rates of failure; coverage and its bounds by size of team; all comparisons as CSV."""
     return Report(
-        "survey", "check --worlds", f"{survey.description}: which formulas hold?", survey_headline(survey),
+        "survey", "check --worlds", f"{survey.description}: which formulas hold?", survey_summary(survey),
         survey,
         findings=_survey_findings(survey), figures=_survey_key_figures(survey), heading=_survey_heading(survey),
         parts=(
@@ -295,7 +295,7 @@ def survey_report(survey: Survey) -> Report:
     )  # fmt: skip
 
 
-def survey_headline(survey: Survey) -> str:
+def survey_summary(survey: Survey) -> str:
     """The summary: the paper's formulas that fail on some world, and whether a proven one fails."""
     paper, ours = survey.formulas
     worlds = counted(survey.worlds, f"{survey.choices.kind} world")

@@ -195,7 +195,7 @@ def size(source: INPUT, /, given: Given) -> int:
     out="Scenario file (.yaml) that Save writes (default: INPUT-studio.yaml).",
 )  # fmt: skip
 def studio(source: INPUT, /, given: Given) -> int:
-    """A local page to draw threats, obstacles and starts, with the answer; Ctrl-C ends it.
+    """A local page to draw threats, obstacles and starts, with live results; Ctrl-C ends it.
 
     The page is served on this machine only, at the printed address (needs the extra `studio`).
     """

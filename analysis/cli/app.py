@@ -32,7 +32,7 @@ def make_app(everything: bool) -> App:
     made = App(
         name="mrac-jax",
         help="How much of a dangerous area will a team of robots cover before it is lost, and how sure are we?",
-        help_epilogue=f"{ALL} lists every option. {NO_CACHE_OPTION} keeps no compiled code on disk.",
+        help_epilogue=f"{ALL} lists every option. With {NO_CACHE_OPTION}, compiled code is not kept on disk.",
         help_flags=("--help", "-h", ALL),
         group_commands=Group("Commands", sort_key=len(COMMANDS)),
         version=lambda: version("mrac-jax"),

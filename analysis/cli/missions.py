@@ -102,7 +102,7 @@ def export(source: INPUT, /, given: Given) -> int:
     outlook=option(ROLLOUTS, "Print expected results at the start and after changes.", "flag", default=False),
 )  # fmt: skip
 def drive(source: INPUT, /, given: Given) -> int:
-    """A mission: orders on standard output, reports on standard input, one JSON object a line.
+    """A mission: orders on standard output, reports on standard input, one JSON object per line.
 
     INPUT may be a plan file that `plan INPUT --out` wrote: it names its map.
     Reports: {"type": "report", "robot": 0, "cell": [3, 4]}, with "stopped", "found", "moves_left", "seen" or "step"
@@ -163,7 +163,7 @@ def _tell(lines: Iterable[dict[str, Any]], pace: Pace) -> None:
     out="Write the page, state.json, the plan of the rest, flown.geojson and JSON to this folder.",
 )  # fmt: skip
 def debrief(source: INPUT, /, given: Given) -> int:
-    """Tracks against the map and the plan: coverage, gaps, the loss rate met, and the plan of the rest.
+    """Tracks compared with the map and the plan: coverage, gaps, observed loss rate, and a plan for the rest.
 
     Places are joined by straight lines, but not across a time of more than five usual intervals. With --speed or
     --step-seconds, places within half a step are averaged, so that noise below half a cell adds few visits. Each

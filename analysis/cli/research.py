@@ -77,7 +77,7 @@ def check(
     /,
     given: Given = None,  # type: ignore[assignment]
 ) -> int:
-    """Check of the paper's formulas on a map, on random maps, or of its experiments.
+    """Check the paper's formulas on one map or on random maps, or its experiments.
 
     Expected values of the open loop are exact. Those of the closed loop are exact where that is cheap, else sampled,
     with simultaneous 95 % intervals. The exit status is 1 if a formula that is marked as proven fails. --paper repeats

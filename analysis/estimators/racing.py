@@ -454,7 +454,7 @@ def with_eyes(world: World, plan: Plan, far: float, choices: RolloutChoices) -> 
     assert world.knowledge is not None
     if far == world.knowledge.sense.range:
         return Trial(world, plan, choices)
-    other = world.seeing(far)
+    other = world.with_range(far)
     return Trial(other, allocated_plan(other, plan.starts, plan.require(world)), choices)
 
 

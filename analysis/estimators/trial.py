@@ -84,7 +84,7 @@ class TreeTruth(ClosedTruth):
                 figure: {f"{q:g}": _as_json(*tree.quantile(figure, q)) for q in QUANTILES} for figure in MEANINGS
             },
             "histories": tree.histories,
-            "cut": tree.share_cut,
+            "cut": tree.cut / WHOLE,
             "mass_cut": tree.left,
             "seconds": tree.seconds,
         }

@@ -72,7 +72,6 @@ from planner.rollouts.engine import choose_engine
 from planner.rollouts.tables import AllPairs
 from planner.simulator.codes import Outcome
 from planner.tally import Tally, counts_by_word
-from planner.world.start_rule import true_world
 from planner.world.uncertain_maps import Uncertain
 from planner.world.world import World
 
@@ -123,7 +122,7 @@ class Evaluation(Result):
         *figures alive.mean=figures.alive.mean time.max=longest losses.exact=exact_losses shown.some_left
         control=control_facts bounds=formulas bounds.any_strategy=bounds.any_strategy.cells verdicts=map_verdicts
         exact.open_loop=closed_form exact.closed_loop=closed_facts exact.alive=exact.alive exact.time=exact.time
-        plan=plan_facts rollouts_per_second compile_seconds movers?=world.movers phases?=world.phases
+        plan=plan_facts rollouts_per_second compile_seconds moving_threats?=world.moving_threats phases?=world.phases
         *outputs_json notes?
     """
 
@@ -169,8 +168,8 @@ class Evaluation(Result):
 
     @property
     def map_verdicts(self) -> dict[str, str]:
-        """The verdict on each formula of the paper, by formula and meaning."""
-        return {check.key: str(check.verdict) for check in self.worst_checks}
+        """The verdict on each formula of the paper, by formula and meaning, of the robot with the smallest margin."""
+        return {check.key: str(check.verdict) for check in worst_of_robots(self.checks)}
 
     @property
     def closed_facts(self) -> Json | None:
@@ -237,7 +236,7 @@ class Evaluation(Result):
     @cached_property
     def ground(self) -> World:
         """The true map, without the robots' knowledge of it."""
-        return true_world(self.world)
+        return replace(self.world, threat=self.world.met, knowledge=None)
 
     @cached_property
     def accessible(self) -> NDArray[np.bool_]:
@@ -317,14 +316,14 @@ class Evaluation(Result):
         return last_shown(self.plan, self.loop, self.tally)
 
     @property
-    def settled(self) -> bool:
+    def is_plain(self) -> bool:
         """Whether the paper's assumptions hold: one known map, and each visit destroys the robot with probability p."""
         return self.world.uncertainty is None and self.world.knowledge is None and self.plan.failure_model.is_plain
 
     @cached_property
     def checks(self) -> list[Check]:
-        """The paper's formulas compared with the open loop's exact values; empty if not `settled`."""
-        if not self.settled:
+        """The paper's formulas compared with the open loop's exact values; empty if not `is_plain`."""
+        if not self.is_plain:
             return []
         return paper_checks(self.plan, self.world, self.closed_form, self.formulas)
 
@@ -332,11 +331,6 @@ class Evaluation(Result):
     def verdicts(self) -> dict[str, Verdict | None]:
         """The verdict on each formula over all its meanings and robots; None without a check."""
         return {formula: overall(of_formula(self.checks, formula)) for formula in FORMULAS}
-
-    @cached_property
-    def worst_checks(self) -> list[Check]:
-        """For each formula and meaning, the check of the robot with the smallest margin."""
-        return worst_of_robots(self.checks)
 
     @property
     def exact(self) -> Known:
@@ -371,8 +365,8 @@ class Evaluation(Result):
 
     @cached_property
     def limit(self) -> AnyStrategy | None:
-        """The bound for every strategy; None if not `settled`, for first visits only, and from a mission state."""
-        if self.choices.first_only or not self.settled or self.plan.state is not None:
+        """The bound for every strategy; None if not `is_plain`, for first visits only, and from a mission state."""
+        if self.choices.first_only or not self.is_plain or self.plan.state is not None:
             return None
         return any_strategy(trimmed(self.world, self.plan), self.plan.starts, self.bound)
 

@@ -140,8 +140,8 @@ def picked(world: World, plan: Plan, choices: RolloutChoices, total: int) -> tup
 def run_of(name: str, trace: Trace, world: World, choices: RolloutChoices) -> Run:
     """A rollout in the form that the page plays."""
     dead = trace.doing == Doing.DEAD
-    moving = world.movers is not None
-    movers = threat_paths(world, choices.seed, trace.rollout, len(trace.cells)) if moving else None
+    moving = world.moving_threats is not None
+    threats = threat_paths(world, choices.seed, trace.rollout, len(trace.cells)) if moving else None
     known = world.knowledge if looks(world, choices) else None
     seen = None if known is None else known.first_seen(trace.cells, ~dead)
-    return Run(name, trace.cells, np.where(dead.any(axis=0), dead.argmax(axis=0), NO_STEP), movers, seen)
+    return Run(name, trace.cells, np.where(dead.any(axis=0), dead.argmax(axis=0), NO_STEP), threats, seen)

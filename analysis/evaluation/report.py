@@ -50,7 +50,7 @@ def losses_text(evaluation: Evaluation) -> str:
     if lost.half_width > 0.5:  # an interval, because the mean has one decimal too many
         mean += f" ({between(max(lost.ci95[0] - gone, 0.0), lost.ci95[1] - gone, 1, robots, 'fewer')})"
     every, none = (evaluation.shown.left[number].share for number in (0, robots))
-    return f"{mean}{left} lost on average; all in {every} of runs, none in {none}.{before}"
+    return f"{mean[0].upper()}{mean[1:]}{left} lost on average; all in {every} of runs, none in {none}.{before}"
 
 
 def _team(evaluation: Evaluation) -> tuple[int, int, str]:
@@ -86,7 +86,7 @@ def _time(evaluation: Evaluation) -> str:
     """
     world, steps, ends = evaluation.world, evaluation.time.mean, evaluation.shown.ends
     waiting = [ends[outcome].mean for outcome in (Outcome.NO_PROGRESS, Outcome.NOT_WORTH_THE_RISK) if outcome in ends]
-    changes = world.is_learned or (world.phases is not None and world.phases.told)
+    changes = world.is_learned or (world.phases is not None and world.phases.are_announced)
     if not waiting or evaluation.plan.comes_home or changes:
         return f"a run takes {world.pace.steps(steps)}"
     # Robots wait STUCK_AFTER of their moves before such an end; the wait is subtracted.
@@ -119,14 +119,14 @@ def proven(evaluation: Evaluation) -> str:
     return "; ".join(["proven", *unknown])
 
 
-def headline(evaluation: Evaluation) -> str:
+def summary(evaluation: Evaluation) -> str:
     """The summary: coverage and losses in one sentence; every % in it is a share of the accessible cells.
 
     For the result of a policy search it names the policy and the upper bound; otherwise the coverage that 19 of 20 runs
     reach, if there are enough rollouts. Probabilities in percent are in `losses_text`.
     """
     if evaluation.certain:
-        return certain_headline(evaluation)
+        return certain_summary(evaluation)
     gone, robots, left = _team(evaluation)
     shown = without_level(evaluation.visited.describe(100.0, " %")) + " of the accessible cells on average"
     subject = counted(len(evaluation.plan.robots), "robot visits", "robots visit")
@@ -157,7 +157,7 @@ def assured_text(evaluation: Evaluation) -> str:
     return floored(Fraction(evaluation.shown.assured or 0, evaluation.tally.accessible))
 
 
-def certain_headline(evaluation: Evaluation) -> str:
+def certain_summary(evaluation: Evaluation) -> str:
     """The summary if all runs are equal."""
     tally, robots = evaluation.tally, len(evaluation.plan.robots)
     covered, steps = evaluation.closed_form.visited / tally.accessible, int(np.flatnonzero(tally.time)[0])
@@ -178,8 +178,8 @@ def gain_text(evaluation: Evaluation) -> str:
     more = Estimate(covered.mean - kept, covered.se, (covered.ci95[0] - kept, covered.ci95[1] - kept))
     gain = without_level(more.more(100, " points", ("more", "less")))
     return (
-        f"Reassigning the areas of lost robots covers {gain} than robots that only follow their own plans "
-        f"({percent(kept)}, exact)."
+        f"A team that reassigns the areas of lost robots covers {gain} than one whose robots only follow their own "
+        f"plans ({percent(kept)}, exact)."
     )
 
 
@@ -259,7 +259,7 @@ def report(evaluation: Evaluation, theory: bool = False, bounds: bool = True) ->
     rate = "" if certain else f": {evaluation.tally.rollouts / max(evaluation.seconds, 1e-9):,.0f} a second"
     inputs = _inputs(evaluation)
     return Report(
-        "evaluation", "evaluate", asked(world, len(plan.robots), "how much is covered?"), headline(evaluation),
+        "evaluation", "evaluate", asked(world, len(plan.robots), "how much is covered?"), summary(evaluation),
         evaluation, list(filter(None, said)), _key_figures(evaluation),
         picture=lambda: charts.plan_map(evaluation), below=lambda: evaluation.added("below"), parts=parts,
         notes=evaluation.notes, warnings=["Interrupted: the rollouts done so far are shown."] * evaluation.partial,
@@ -275,8 +275,8 @@ def _inputs(evaluation: Evaluation) -> dict[str, str]:
     cells, plan, world = evaluation.cells, evaluation.plan, evaluation.world
     ground = f" ({_area(cells['accessible'] * world.cell_size**2)})" if world.cell_size != 1 else ""
     tree = evaluation.closed.tree if isinstance(evaluation.closed, TreeTruth) else None
-    whole = "" if tree is None else f"exact: all {counted(tree.histories, 'history', 'histories')}; and "
-    unsure = "moving threats" if world.movers else "phases" if world.phases else "map uncertainty"
+    whole = "" if tree is None else f"all {counted(tree.histories, 'history', 'histories')} (exact), and "
+    unsure = "moving threats" if world.moving_threats else "phases" if world.phases else "map uncertainty"
     found = {
         "map": f"{world.name}, {world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} "
         f"free, {cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",

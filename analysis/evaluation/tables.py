@@ -132,7 +132,7 @@ WORDS = {
 def formulas_part(evaluation: Evaluation, asked: bool) -> Section:
     """The section on the formulas: collapsed on a page, and omitted on a terminal, unless `asked`."""
     title, said = "The paper's formulas", formulas_text(evaluation) + "."
-    if not evaluation.settled:
+    if not evaluation.is_plain:
         return Section(title, notes=[said], page_only=not asked)
     if asked:
         return Section(title, [formulas_table(evaluation)], [eq2_text(evaluation), *[said] * (not evaluation.certain)])
@@ -148,7 +148,7 @@ def formula_counts(evaluation: Evaluation) -> dict[Verdict, int]:
 
 def formulas_text(evaluation: Evaluation) -> str:
     """One sentence: the number of formulas that hold on this plan and of those that fail."""
-    if not evaluation.settled:
+    if not evaluation.is_plain:
         return (
             "The paper's formulas and bounds are omitted: they assume one known map and independent visits, each of "
             "which destroys the robot with the cell's p"
@@ -230,7 +230,7 @@ def over_time(evaluation: Evaluation) -> Chart:
         "Expected coverage by the end of each step", (*own, *more), f"step{evaluation.world.pace.each}",
         "share of the accessible cells, %", unit="%", interval="5 % to 95 % of single rollouts",
         at_x=((makespan, "makespan of the plan" if closed else "makespan"), *(m for m in marks if m[0] <= last)),
-        at_y=((100 * evaluation.formulas.ideal_team / cells, "upper bound, team"),) if evaluation.settled else (),
+        at_y=((100 * evaluation.formulas.ideal_team / cells, "upper bound, team"),) if evaluation.is_plain else (),
         note="visited: entered by any robot, also one that is lost there; survived: entered by a robot that survives "
              "the visit.",
     )  # fmt: skip
@@ -284,7 +284,7 @@ def marks(evaluation: Evaluation) -> dict[str, float]:
     out[mean] = found.visited.mean.mean
     if exact.is_known:
         out["open loop, exact" if closed else "exact mean"] = exact.visited
-    if evaluation.settled:
+    if evaluation.is_plain:
         ideals = {"upper bound, team": evaluation.formulas.ideal_team} if len(evaluation.plan.robots) > 1 else {}
         out |= ideals | {"upper bound, one robot, eq. (7)": evaluation.formulas.ideal_eq7}
     return {f"{name}: {percent(value / found.visited.cells)}": value for name, value in out.items()}

@@ -118,12 +118,12 @@ class Run:
     Attributes:
         name: on its button. cells: int32 `[T, K]`, cell (row * W + col) of each robot at the end of each step.
         lost: int64 `[K]`, the step at which each robot is lost; NO_STEP.
-        movers: int64 `[T, M]`, cells of the moving threats; None: not shown.
+        threats: int64 `[T, M]`, cells of the moving threats; None: not shown.
         seen: int32 `[N]`, the step at which each cell is first seen, NO_STEP if never; None for a known map.
     """
 
     name: str
     cells: NDArray[np.int32]
     lost: NDArray[np.int64]
-    movers: NDArray[np.int64] | None = None
+    threats: NDArray[np.int64] | None = None
     seen: NDArray[np.int32] | None = None

@@ -286,7 +286,8 @@ def packed_runs(runs: Sequence[Run], accessible: NDArray[np.bool_], pace: Pace =
     packed, letters = [], 0
     for run in runs:
         data = pack(run, accessible.shape[1])
-        letters += sum(map(len, data["moves"] + data.get("movers", {"moves": []})["moves"])) + len(data.get("seen", ""))
+        moves = data["moves"] + data.get("threats", {"moves": []})["moves"]
+        letters += sum(map(len, moves)) + len(data.get("seen", ""))
         if letters > RUNS_MOST_LETTERS:
             break
         packed.append(data)
@@ -305,8 +306,8 @@ def pack(run: Run, width: int) -> Json:
     to the last one.
     """
     data: Json = {} if run.seen is None else {"seen": _deflated(run.seen)}
-    if run.movers is not None:
-        data["movers"] = {"starts": run.movers[0].tolist(), "moves": moves_of(run.movers, width)}
+    if run.threats is not None:
+        data["threats"] = {"starts": run.threats[0].tolist(), "moves": moves_of(run.threats, width)}
     return data | {
         "name": run.name,
         "time": len(run.cells) - 1,

@@ -66,8 +66,8 @@ function player(group, showThreats) {
     return mark;
   });
 
-  const threats = Array.from({ length: Math.max(...about.runs.map((one) => (one.movers ? one.movers.starts.length : 0))) }, () => {
-    const mark = make("i", "mover");
+  const threats = Array.from({ length: Math.max(...about.runs.map((one) => (one.threats ? one.threats.starts.length : 0))) }, () => {
+    const mark = make("i", "moving");
     mark.title = "moving threat";
     box.append(mark);
     return mark;
@@ -100,8 +100,8 @@ function player(group, showThreats) {
     if (!known.has(number)) {
       const packed = about.runs[number], moves = await Promise.all(packed.moves.map(inflate));
       const found = unfold(moves.map((buffer) => new Uint8Array(buffer)), packed.starts, packed.lost, packed.time, rows, cols);
-      const moving = packed.movers || { starts: [], moves: [] }, ways = await Promise.all(moving.moves.map(inflate));
-      found.movers = ways.map((way, mover) => ({ at: cellsOf(new Uint8Array(way), moving.starts[mover], BY_MOVE(cols)) }));
+      const moving = packed.threats || { starts: [], moves: [] }, ways = await Promise.all(moving.moves.map(inflate));
+      found.threats = ways.map((way, number) => ({ at: cellsOf(new Uint8Array(way), moving.starts[number], BY_MOVE(cols)) }));
       if (packed.seen) found.seen = new Int32Array(await inflate(packed.seen));
       known.set(number, found);
     }
@@ -139,8 +139,8 @@ function player(group, showThreats) {
       if (lines[number]) lines[number].setAttribute("d", trail(robot, step, cols));
     });
     threats.forEach((mark, number) => {
-      mark.hidden = number >= replay.movers.length;
-      if (!mark.hidden) put(mark, cellAt(replay.movers[number], step), 0.5);
+      mark.hidden = number >= replay.threats.length;
+      if (!mark.hidden) put(mark, cellAt(replay.threats[number], step), 0.5);
     });
     const gone = run.lost.map((at, robot) => [at, robot]).filter(([at]) => at >= 0 && at <= step).sort((a, b) => a[0] - b[0]);
     const part = written((100 * covered) / about.accessible, 1), left = marks.length - gone.length;

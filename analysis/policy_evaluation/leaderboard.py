@@ -33,8 +33,9 @@ from planner.arguments import argument
 from planner.errors import InputError, UsageError
 from planner.files import Json, check_file
 from planner.formatting import ceiled, counted, in_percent
+from planner.make_plan import read_plan
+from planner.open_loop import plan_team
 from planner.plan.plan import Plan
-from planner.plan_team import plan_team, read_plan
 from planner.policies.rules import Rule
 from planner.rollouts.names import of_jax
 from planner.settings import Settings
@@ -148,7 +149,7 @@ class Leaderboard(Result):
     own: str | None
     seconds: float
     partial: bool = False
-    json_keys = "answer=headline rollouts seed entries=by_name worlds=by_world"
+    json_keys = "answer=summary rollouts seed entries=by_name worlds=by_world"
 
     @property
     def by_name(self) -> dict[str, Row]:
@@ -517,7 +518,7 @@ def report(standing: Leaderboard) -> Report:
     ranks = table_of(RANKS, standing.entries, padding=(0, 1, 0, 0))
     worlds = _worlds_table(standing)
     return Report(
-        "suite", "suite", "Which policy covers most?", headline(standing), standing,
+        "suite", "suite", "Which policy covers most?", summary(standing), standing,
         figures=[KeyFigure(f"{row.rank} of {len(standing.entries)}", f"rank of {row.name}") for row in mine],
         heading=[f"{count}, {counted(standing.rollouts, 'rollout')} each, seed {standing.seed}"],
         took=[f"{standing.seconds:.0f} s"],
@@ -531,7 +532,7 @@ def report(standing: Leaderboard) -> Report:
     )  # fmt: skip
 
 
-def headline(standing: Leaderboard) -> str:
+def summary(standing: Leaderboard) -> str:
     """The first entry, and the rank of the given policy."""
     ranked = [row for row in standing.entries if row.rank is not None]
     if not ranked:

@@ -24,7 +24,7 @@ from analysis.utils.tables import make_table, without_level
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.formatting import ceiled, counted, percent
-from planner.plan_team import plan_team
+from planner.open_loop import plan_team
 from planner.rollouts.names import of_jax
 from planner.settings import Choices
 from planner.world.world import World
@@ -120,7 +120,7 @@ class PolicyEvaluation(Result):
     walk: str
     partial: bool = False
     json_keys = """
-        answer=headline robots starts accessible=cells choices.rollouts choices.seed max_steps
+        answer=summary robots starts accessible=cells choices.rollouts choices.seed max_steps
         coverage losses steps random bound score plans
     """
 
@@ -205,7 +205,7 @@ def report(judged: PolicyEvaluation) -> Report:
     note = f"{score_is}; all with common random numbers and the same last step"
     level = "± half the 95 % interval, in brackets its ends"
     return Report(
-        "policy", "judge", asked(judged.world, robots, "how good is the policy?"), headline(judged),
+        "policy", "judge", asked(judged.world, robots, "how good is the policy?"), summary(judged),
         judged, figures=[share_figure(judged.coverage, "visited on average"), *score],
         heading=(map_text(judged.world, judged.cells, robots),
                  f"{counted(judged.choices.rollouts, 'rollout')}, seed {judged.choices.seed}, at most "
@@ -214,7 +214,7 @@ def report(judged: PolicyEvaluation) -> Report:
     )  # fmt: skip
 
 
-def headline(judged: PolicyEvaluation) -> str:
+def summary(judged: PolicyEvaluation) -> str:
     """Coverage of the policy, of the best plan, and the bound."""
     best = max(judged.plans.items(), key=lambda item: item[1].coverage.mean, default=None)
     plan = "" if best is None else f"; `{best[0]}`: {percent(best[1].coverage.mean)}"

@@ -267,7 +267,7 @@ def _stopped_by(robot: int, step: int, cell: NDArray, world: World, plan: Plan |
     p = float(own.by_phase.flat[own.visits(cell, step)])
     if failure_model.shape == 1 and not failure_model.is_even:
         p = failure_model.first_chance(p, robot)
-    if world.movers is None:
+    if world.moving_threats is None:
         return f"threat {chance(p)}"
     return f"threat {chance(p)}, or a moving threat" if p else "by a moving threat"
 
@@ -289,12 +289,12 @@ class Discovery:
     """Map knowledge of a rollout's team.
 
     Attributes:
-        told: float32 `[H, W]`, prior map; NaN: an obstacle.
+        prior: float32 `[H, W]`, prior map; NaN: an obstacle.
         truth: float32 `[H, W]`, true map.
         when: int32 `[H, W]`, the step at the end of which each cell is first seen; NO_STEP.
     """
 
-    told: NDArray[np.float32]
+    prior: NDArray[np.float32]
     truth: NDArray[np.float32]
     when: NDArray[np.int32]
 
@@ -304,7 +304,7 @@ class Discovery:
 
     def believed(self, step: int) -> NDArray[np.float32]:
         """float32 `[H, W]`, the team's map at the end of a step: the true map in seen cells, else the prior map."""
-        return np.where(self.seen(step), self.truth, self.told)
+        return np.where(self.seen(step), self.truth, self.prior)
 
 
 def discovery_of(world: World, seed: int, trace: Trace) -> Discovery:

@@ -109,7 +109,7 @@ def draw_threat(
     image = axes.imshow(painted[0], interpolation="nearest", zorder=0)
     map_frame(axes, world, "threat, and paths driven")
     label = "probability that one visit destroys the robot"
-    handles = _area_handles(has_areas, plan.state is not None, fog, world.movers is not None)
+    handles = _area_handles(has_areas, plan.state is not None, fog, world.moving_threats is not None)
     key = style.Key("", "", label=label, handles=handles, **style.level_scale(levels, known))
     style.draw_key(style.root_figure(axes), boxes.bar, boxes.legend, 2, key)
     return image, painted

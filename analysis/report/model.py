@@ -83,7 +83,7 @@ class Report:
     """A report: everything that any medium shows of a result.
 
     Attributes:
-        name: stem of its file names. kind: the command. title: the question. headline: the answer in one sentence.
+        name: stem of its file names. kind: the command. title: the question. summary: the answer in one sentence.
         findings: sentences after it. figures: key figures. heading: lines on the input.
         picture: chart or map next to the answer on a page. below: charts after its sentences.
         parts: sections in order. notes: remarks for the user.
@@ -99,7 +99,7 @@ class Report:
     name: str
     kind: str
     title: str
-    headline: str
+    summary: str
     result: Any
     findings: Sequence[str] = ()
     figures: Sequence[KeyFigure] = ()

@@ -101,7 +101,7 @@ def print_report(report: Report, console: Console, earlier: Report | None = None
 
 def _printed(report: Report) -> Iterator[str | Table]:
     """The lines and tables for a terminal, in order."""
-    yield from (report.headline, *report.findings)
+    yield from (report.summary, *report.findings)
     yield from [""] if report.last else [*report.heading, *report.took]
     for part in report.parts:
         if not part.page_only:
@@ -171,9 +171,9 @@ class Result:
     json_keys = "version partial?=interrupted"
 
     @property
-    def headline(self) -> str:
+    def summary(self) -> str:
         """The answer in one sentence."""
-        return report_of(self).headline
+        return report_of(self).summary
 
     @property
     def interrupted(self) -> Literal[True] | None:
@@ -210,7 +210,7 @@ class Result:
     def _brief(self) -> tuple[str, Sequence[str], Rows]:
         """The text for a console or a notebook, at most a screen: summary, sentences, key figures."""
         said = report_of(self)
-        return f"{type(self).__name__}: {said.headline}", said.findings[:MOST_SENTENCES], rows_of(said)
+        return f"{type(self).__name__}: {said.summary}", said.findings[:MOST_SENTENCES], rows_of(said)
 
     def __repr__(self) -> str:
         title, sentences, rows = self._brief()
@@ -325,7 +325,7 @@ def share_figure(estimate: Estimate, name: str, note: str = "") -> KeyFigure:
 
 def run_again(words: Sequence[str], how: Sequence[str], choices: RolloutChoices, *, exact: bool) -> str:
     """The command that evaluates the result of a search; with a seed that the search did not use, if not `exact`."""
-    fresh = [] if exact else ["--rollouts", str(choices.rollouts), "--seed", str(choices.next_seed)]
+    fresh = [] if exact else ["--rollouts", str(choices.rollouts), "--seed", str((choices.seed + 1) % 2**64)]
     return shlex.join(["mrac-jax", "evaluate", *words, *how, *fresh])
 
 

@@ -68,8 +68,7 @@ def _figure(size: TeamSize, point: TeamPoint) -> str:
     """The deciding figure of a simulated team, with its 95 % interval."""
     estimate = _deciding(size, point)
     low, high = estimate.ci95
-    sure = "exact" if low == high else f"95 % interval {between(100 * low, 100 * high, 2, 100)}"
-    sure += ", fresh rollouts" if point is size.confirmed else ""
+    sure = "exact" if low == high else f"95 % interval {between(100 * low, 100 * high, 2, 100)}{_fresh(size, point)}"
     what = f"chance of {_share(size)} {size.goal.meaning}"
     if size.goal.confidence is None:
         what = f"of the accessible cells {size.goal.meaning} on average"
@@ -109,16 +108,19 @@ def _listed(numbers: Sequence[int]) -> str:
     return ", ".join(parts)
 
 
+def _fresh(size: TeamSize, point: TeamPoint) -> str:
+    return ", fresh rollouts" if point is size.confirmed and _deciding(size, point).half_width else ""
+
+
 def _size_key_figures(size: TeamSize) -> list[KeyFigure]:
     if size.robots is None:
         return []
     point, undecided = size.confirmed or size.point(size.robots), size.of(TeamVerdict.UNDECIDED)
-    fresh = ", fresh rollouts" if point is size.confirmed else ""
     name = f"{size.goal.meaning} on average" if size.goal.confidence is None else f"chance of {_target(size)}"
     note = f"{_listed(undecided)} undecided" if undecided else ""
     alive = [] if point.alive is None else [team_figure(point.alive, size.robots, "robots alive at the end")]
     enough = KeyFigure(counted(size.robots, "robot"), "enough", note)
-    return [enough, share_figure(_deciding(size, point), name, fresh), *alive]
+    return [enough, share_figure(_deciding(size, point), name, _fresh(size, point)), *alive]
 
 
 def _target(size: TeamSize) -> str:

@@ -25,7 +25,7 @@ from analysis.utils.notes import Doing, ProgressCallback, of_things, quiet
 from planner.arguments import BLOCK, MOST_ROLLOUTS, Numbers, argument, check_word, whole
 from planner.errors import UsageError
 from planner.formatting import counted
-from planner.plan_team import plan_team
+from planner.open_loop import plan_team
 from planner.settings import METRICS, Settings
 from planner.world.start_rule import place_starts
 from planner.world.world import MAX_ROBOTS, World

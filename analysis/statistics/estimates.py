@@ -137,8 +137,9 @@ def in_unit(interval: str, unit: str = " %") -> str:
 
 
 def robots_text(mean: float, robots: int, digits: int = 2) -> str:
-    """A mean number of robots: "1.87 of 5 robots"; a value near none or all is not rounded to it (`of_all`)."""
-    return f"{of_all(mean, robots, digits)} of {counted(robots, 'robot')}"
+    """A mean number of robots: "1.87 of 5 robots", "more than 4.99 of 5 robots" (`of_all`)."""
+    count = of_all(mean, robots, digits).replace("> ", "more than ").replace("< ", "fewer than ")
+    return f"{count} of {counted(robots, 'robot')}"
 
 
 def of_all(mean: float, robots: int, digits: int = 2) -> str:

@@ -46,8 +46,8 @@ from planner.arguments import MAX_STEP, MOST_ROLLOUTS, exactly, whole
 from planner.errors import InputError, MracError, UsageError, WorldError
 from planner.files import Json, atomic_write
 from planner.formatting import Pace, counted, percent
+from planner.open_loop import plan_team
 from planner.plan.plan import Plan, is_certain
-from planner.plan_team import plan_team
 from planner.policies import RULES
 from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
@@ -262,7 +262,7 @@ class Figure(NamedTuple):
     note: str
 
 
-def headline(robots: int, mean: Estimate, losses: Estimate, alone: bool = False) -> str:
+def summary(robots: int, mean: Estimate, losses: Estimate, alone: bool = False) -> str:
     """The summary of the closed loop; `alone`: of the open loop, in which no robot takes over another's work."""
     covers = f"{counted(robots, 'robot covers', 'robots cover')} {without_level(coverage(mean))} of accessible cells"
     if alone:
@@ -450,7 +450,7 @@ class Board:
         """The open loop's line, the first, with the planned paths; null: too long to draw."""
         exact = self.exact
         mean, losses = exact_estimate(exact.visited / int(self.accessible.sum())), exact_estimate(exact.expected_losses)
-        said = headline(len(self.plan.robots), mean, losses, alone=True)
+        said = summary(len(self.plan.robots), mean, losses, alone=True)
         line = self._line("open", said, None, None, 0, [exact.visited_by_cell, exact.stops_by_cell])
         return line | {"paths": path_lines(self.plan), "thickness": thickness(self.plan)}
 
@@ -464,7 +464,7 @@ class Board:
     ) -> Json:
         """A line of the closed loop; `known`: exact mean, if computed; `knowing`: result of `with_other_sensors`."""
         mean, losses = known or visited_mean(tally), tally_mean(tally, "lost", certain=self.certain)
-        said = headline(tally.robots, mean, losses)
+        said = summary(tally.robots, mean, losses)
         maps = [tally.covered_visited / tally.rollouts, tally.stops / tally.rollouts]
         line = self._line(stage, said, mean, losses, tally.rollouts, maps, by_deadline)
         if self.sketch.world.knowledge is None:
@@ -476,7 +476,7 @@ class Board:
     def _line(
         self,
         stage: str,
-        headline: str,
+        summary: str,
         mean: Estimate | None,
         losses: Estimate | None,
         rollouts: int,
@@ -495,7 +495,7 @@ class Board:
         )
         return {
             "stage": stage,
-            "headline": headline,
+            "summary": summary,
             "figures": figures,
             "notes": self.notes,
             "rollouts": rollouts,

@@ -1,7 +1,7 @@
 // The studio: every change of the sketch starts a new request; only the newest one is displayed.
 const at = (id) => document.getElementById(id);
 const BRUSHES = ["Threat", "Obstacle", "Safe", "Unknown", "Known", "Start", "Move"], SIZES = ["1", "3", "7"], MOST_ROBOTS = 1024;
-const numbers = ["risk_cap", "robot_value", "deadline"], headline = at("headline"), box = at("board"), here = box.querySelector(".here"), view = box.parentElement;
+const numbers = ["risk_cap", "robot_value", "deadline"], summary = at("summary"), box = at("board"), here = box.querySelector(".here"), view = box.parentElement;
 
 function problem(text) {
   at("problem").textContent = text;
@@ -39,7 +39,7 @@ async function start() {
     problem(wrong ? wrong.parentElement.firstChild.textContent + ": " + wrong.validationMessage : "");
     if (wrong) return;
     const mine = (waiting = new AbortController()), clock = performance.now(), times = {};
-    headline.dataset.stage = "asked";
+    summary.dataset.stage = "asked";
     at("saved").textContent = "";
     document.querySelector(".command").hidden = true;
     try {
@@ -53,7 +53,7 @@ async function start() {
       }
     } catch (error) {
       if (mine !== waiting || error.name === "AbortError") return;
-      headline.dataset.stage = "failed";
+      summary.dataset.stage = "failed";
       problem(error instanceof TypeError ? "The studio does not respond: is it still running in the terminal?" : error.message);
     }
   }
@@ -62,9 +62,9 @@ async function start() {
     placed = line.starts;
     if ("paths" in line) picture.paths(line.paths, line.thickness, rows, cols);
     problem("");
-    headline.textContent = unbroken(line.headline);
-    headline.dataset.stage = line.stage;
-    headline.dataset.times = JSON.stringify(line.times);
+    summary.textContent = unbroken(line.summary);
+    summary.dataset.stage = line.stage;
+    summary.dataset.times = JSON.stringify(line.times);
     at("figures").replaceChildren(...line.figures.map(([value, name, note]) => {
       const tile = make("li");
       tile.append(make("strong", "", value), make("span", "", name), make("small", "", note));
@@ -76,7 +76,7 @@ async function start() {
       : "± 0.5 points after " + written(sure, 2) + " s.");
     show_all();
     if (owner === box && !tip.hidden && !stroke) tell();
-    if (line.stage === "done") at("live").textContent = line.headline;
+    if (line.stage === "done") at("live").textContent = line.summary;
   }
   function show_all() {
     const packed = answered && shown > 0 ? answered.layers[shown - 1] : null;
@@ -221,7 +221,7 @@ async function start() {
   const command = document.querySelector(".command"), copy = command.querySelector(".copy");
   at("save").addEventListener("click", async () => {
     try {
-      const rollouts = answered && ["sure", "done"].includes(headline.dataset.stage) ? answered.rollouts : null;
+      const rollouts = answered && ["sure", "done"].includes(summary.dataset.stage) ? answered.rollouts : null;
       const said = await (await call("/save", { ...body(), rollouts })).json();
       at("saved").textContent = "Saved " + said.written.join(" and ") + ". To repeat the result:";
       at("command").textContent = said.command;

@@ -29,8 +29,9 @@ from analysis.utils.pool import AHEAD
 from planner.arguments import BLOCK, argument, is_whole
 from planner.errors import InputError, UsageError, names_of_0_3
 from planner.files import Json
+from planner.make_plan import read_plan_on
+from planner.open_loop import plan_team
 from planner.plan.plan import Plan
-from planner.plan_team import plan_team, read_plan_on
 from planner.policies import DEFAULT
 from planner.settings import BEARING, Choices, Settings
 from planner.tally import Tally
@@ -259,9 +260,9 @@ def _plan_hash(plan: Plan) -> str:
     paths = [[list(divmod(cell, width)) for cell in robot.path.tolist()] for robot in plan.robots]
     areas = [[area.level, area.robot, area.cells.tolist()] for area in plan.areas]
     settings = None if plan.settings is None else names_of_0_3(plan.settings.to_json())
-    bears = [] if plan.bears.is_plain else [names_of_0_3(plan.bears.to_json())]
+    failures = [] if plan.failures.is_plain else [names_of_0_3(plan.failures.to_json())]
     begun = [] if plan.state is None else [plan.state.to_json()]
-    return hashlib.sha256(canonical([paths, areas, settings, *bears, *begun]).encode()).hexdigest()
+    return hashlib.sha256(canonical([paths, areas, settings, *failures, *begun]).encode()).hexdigest()
 
 
 def canonical(value: object) -> str:

@@ -46,7 +46,7 @@ def of_sweep(sweep: Sweep) -> Report:
     settings |= {f"base: {name}": str(value) for name, value in spec.base.items()}
     settings |= {f"swept: {name}": ", ".join(str(value) for value in values)[:200] for name, values in spec.swept}
     return Report(
-        "sweep", "sweep", spec.source.stem, headline(sweep), sweep,
+        "sweep", "sweep", spec.source.stem, summary(sweep), sweep,
         took=[done_words(sweep)], parts=[_rows_part(rows, charted=True)], notes=sweep.notes, settings=settings,
         pictures={f"{figure}.png": partial(_charts, rows, [figure]) for figure in PICTURES},
         files={"rows.csv": partial(rows_csv, rows)},
@@ -60,7 +60,7 @@ def of_results(results: Results) -> Report:
     return Report("results", "results", "", said, results, parts=[_rows_part(results.rows)], notes=results.notes)
 
 
-def headline(sweep: Sweep) -> str:
+def summary(sweep: Sweep) -> str:
     """The result in one sentence: the lowest and highest coverage of the settings."""
     low, high = (pick(sweep.rows, key=lambda row: row.estimate("visited").mean) for pick in (min, max))
     on = "one map" if sweep.spec.maps is None else f"a mean over {counted(high.maps, 'map')}"

@@ -329,10 +329,10 @@ def corrected_theorem3(plan: Plan, world: World) -> Meanings[CorrectedTheorem3]:
     """
     robots = [robot_chances(robot, world) for robot in plan.robots]
     chances = [robot.reach for robot in robots], [robot.passed for robot in robots]
-    return Meanings(*(_mended(robots, of_meaning, world.threat.size) for of_meaning in chances))
+    return Meanings(*(_corrected(robots, of_meaning, world.threat.size) for of_meaning in chances))
 
 
-def _mended(robots: list[PathChances], chances: list[NDArray[np.float64]], cells: int) -> CorrectedTheorem3:
+def _corrected(robots: list[PathChances], chances: list[NDArray[np.float64]], cells: int) -> CorrectedTheorem3:
     total, most, robots_of = np.zeros(cells), np.zeros(cells), np.zeros(cells, dtype=np.int64)
     for robot, chance in zip(robots, chances, strict=True):
         own = robot.cells[robot.first]

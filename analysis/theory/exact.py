@@ -92,40 +92,40 @@ MOST_WORK = 3 * 10**8
 
 
 def is_worth_it(world: World, steps: int) -> bool:
-    """Whether `passed_movers` is fast enough for a path of `steps` steps."""
-    assert world.movers is not None
-    kinds = {mover for mover in world.movers.members if not mover.patrols}
+    """Whether `passed_moving_threats` is fast enough for a path of `steps` steps."""
+    assert world.moving_threats is not None
+    kinds = {member for member in world.moving_threats.members if not member.patrols}
     return len(kinds) * world.threat.size * steps <= MOST_WORK
 
 
-def passed_movers(path: NDArray[np.int64], world: World) -> NDArray[np.float64]:
+def passed_moving_threats(path: NDArray[np.int64], world: World) -> NDArray[np.float64]:
     """float64 `[T]`: probability that no moving threat destroys a robot at a step of its path `[T]`, given survival.
 
     Cost O(T N) for each kind of walker, O(T L) for each kind of patrol.
     """
     passed, known = np.ones(len(path)), {}
-    assert world.movers is not None
-    for mover in world.movers.members:
-        if mover not in known:
-            known[mover] = _passed_patrol(path, mover) if mover.patrols else _passed_walker(path, mover, world)
-        passed *= known[mover]
+    assert world.moving_threats is not None
+    for member in world.moving_threats.members:
+        if member not in known:
+            known[member] = _passed_patrol(path, member) if member.patrols else _passed_walker(path, member, world)
+        passed *= known[member]
     return passed
 
 
-def _passed_patrol(path: NDArray[np.int64], mover: MovingThreat) -> NDArray[np.float64]:
-    route = np.array(mover.route)
+def _passed_patrol(path: NDArray[np.int64], member: MovingThreat) -> NDArray[np.float64]:
+    route = np.array(member.route)
     chance = np.full(len(route), 1.0 / len(route))
-    if mover.start != ANYWHERE:
-        chance = (np.arange(len(route)) == mover.place).astype(np.float64)
+    if member.start != ANYWHERE:
+        chance = (np.arange(len(route)) == member.place).astype(np.float64)
     left = np.ones(len(path) + 1)
     for step, cell in enumerate(path):
         chance = np.roll(chance, 1)
-        chance[route == cell] *= 1.0 - mover.hit
+        chance[route == cell] *= 1.0 - member.hit
         left[step + 1] = chance.sum()
     return _ratios(left)
 
 
-def _passed_walker(path: NDArray[np.int64], mover: MovingThreat, world: World) -> NDArray[np.float64]:
+def _passed_walker(path: NDArray[np.int64], member: MovingThreat, world: World) -> NDArray[np.float64]:
     free, (height, width) = world.free, world.shape
     around = np.pad(free, 1)
 
@@ -133,18 +133,18 @@ def _passed_walker(path: NDArray[np.int64], mover: MovingThreat, world: World) -
         return padded[1 + side[0] : 1 + side[0] + height, 1 + side[1] : 1 + side[1] + width]
 
     ways = sum(beside(around, side).astype(np.int64) for side in SIDES)
-    stays = np.where(ways == 0, 1.0, mover.stay)
+    stays = np.where(ways == 0, 1.0, member.stay)
     goes = np.where(free, (1.0 - stays) / np.maximum(ways, 1), 0.0)
-    if mover.start == ANYWHERE:
+    if member.start == ANYWHERE:
         weight = np.where(free, np.maximum(ways, 1), 0)
         chance = weight / weight.sum()
     else:
-        chance = (np.arange(free.size) == mover.start).astype(np.float64).reshape(free.shape)
+        chance = (np.arange(free.size) == member.start).astype(np.float64).reshape(free.shape)
     left, gone = np.ones(len(path) + 1), np.zeros((height + 2, width + 2))
     for step, cell in enumerate(path):
         gone[1:-1, 1:-1] = chance * goes
         chance = np.where(free, chance * stays + sum(beside(gone, side) for side in SIDES), 0.0)
-        chance.flat[cell] *= 1.0 - mover.hit
+        chance.flat[cell] *= 1.0 - member.hit
         left[step + 1] = chance.sum()
     return _ratios(left)
 
@@ -227,7 +227,7 @@ def chances_among(robot: RobotPlan, world: World, failure_model: FailureModel = 
     own = chances_along(robot, _met(robot, world), failure_model)
     passed = np.ones(len(path))
     passed[moves] = 1.0 - own.threat
-    passed *= passed_movers(path, world)
+    passed *= passed_moving_threats(path, world)
     first = np.zeros(len(path), dtype=np.bool_)
     first[moves[own.first]] = True
     reach = np.concatenate([[1.0], np.cumprod(passed)[:-1]])
@@ -354,7 +354,7 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
     """
     if plan.settings is not None and plan.settings.blocks and len(plan.robots) > 1:
         return _of_each_alone(plan, world)
-    if world.movers is not None and len(plan.robots) == 1 and is_worth_it(world, plan.makespan):
+    if world.moving_threats is not None and len(plan.robots) == 1 and is_worth_it(world, plan.makespan):
         waits = max(plan.time - plan.makespan, 0)  # external plans have no waits
         one = chances_among(plan.robots[0], world, plan.failure_model, waits)
         return exact_of(plan, [one], world.threat.size)
@@ -494,7 +494,7 @@ def _of_each_alone(plan: Plan, world: World) -> OpenLoopExact:
     found = exact_of(plan, robots, world.threat.size)
     consumed = isinstance(world.uncertainty, Hazard) and world.uncertainty.kind == "consumed"
     of_each = ("stops_by_cell", "survival", "losses_curve")
-    kept = () if consumed or world.movers is not None or not plan.failure_model.is_plain else of_each
+    kept = () if consumed or world.moving_threats is not None or not plan.failure_model.is_plain else of_each
     values = {name: getattr(found, name) for name in FIELDS}
     return OpenLoopExact(**{name: of if name in kept else np.full_like(of, np.nan) for name, of in values.items()})
 

@@ -117,7 +117,7 @@ FORMULAS = {
     "any_strategy": _ours("policy-independent bound", "certified", "upper bound on coverage, every strategy", UPPER),
     "optimum": _ours("optimum", "of every strategy", "coverage of the best strategy", UPPER),
     **{
-        f"mended_{form}": _ours(
+        f"corrected_{form}": _ours(
             "Theorem 3 corrected", reading, "lower bound on coverage, the team, corrected", LOWER, loops=OPEN
         )
         for form, reading in (("count", "counts"), ("largest", "chances"), ("spread", "spread"))
@@ -204,7 +204,7 @@ def exact_truth(plan: Plan, world: World, exact: OpenLoopExact, first_only: bool
     stated = None if _is_cut_off(plan) else Truth.known(1.0)
     left, alive = Truth.known(exact.some_left), float(exact.survival.sum())
     # A run that ends early waits first; the wait is known only for one robot among moving threats.
-    ends = world.movers is not None or (plan.state is None and plan.outcome == Outcome.COMPLETE.word)
+    ends = world.moving_threats is not None or (plan.state is None and plan.outcome == Outcome.COMPLETE.word)
     time = exact.mean_time if ends else None
     return ClosedTruth(Truth.known(exact.visited), Truth.known(exact.survived), left, stated, 0, alive, time)
 
@@ -463,11 +463,11 @@ def own_bounds(plan: Plan, world: World, bounds: Bounds, limit: AnyStrategy) -> 
     `limit`: the bounds for every strategy. Bounds that were not computed, and an optimum that is too expensive, are
     omitted.
     """
-    mended, calm = corrected_theorem3(plan, world), until_first_loss(plan, world)
+    corrected, calm = corrected_theorem3(plan, world), until_first_loss(plan, world)
     values: OwnBounds = {}
     for meaning in MEANINGS:
         for form in ("count", "largest", "spread"):
-            values[f"mended_{form}", meaning] = getattr(getattr(mended, meaning), form)
+            values[f"corrected_{form}", meaning] = getattr(getattr(corrected, meaning), form)
         values["until_first_loss", meaning] = getattr(calm, meaning)
         values["eq4_sum", meaning] = sum(getattr(gain, meaning) for gain in bounds.eq4)
     values["ideal_connected", "visited"] = limit.connected
@@ -547,7 +547,7 @@ def longest_mission(world: World, starts: ArrayLike, settings: Settings, given: 
     checked = check_starts(starts, world.met, world.source)
     unknown = unknown_map_of(world, checked, settings.levels)
     levels = (
-        find_levels(world.threat, world.accessible(checked), settings.levels) if unknown is None else unknown.dearest
+        find_levels(world.threat, world.accessible(checked), settings.levels) if unknown is None else unknown.highest
     )
     return most_steps(settings, levels, given)
 

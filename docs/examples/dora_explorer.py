@@ -37,11 +37,11 @@ OURS: tuple[tuple[int, float, mrac.Settings], ...] = (
     (TOLD, 0.0, mrac.Settings(policy="per_cell")),
     (TOLD, 0.0, mrac.Settings(policy="per_cell", robot_value=20.0)),
 )
-"""Cells that robots see, or that they are told the map; the p that they expect; how they decide."""
+"""Cells that robots see, or that they know the map; the p that they expect; how they decide."""
 
 
 def theirs(folder: Path) -> NDArray[np.float64]:
-    """Cells that somebody explored, and robots that are left, at the end of each run, `[MAPS, 2]`."""
+    """Explored cells, and robots that are left, at the end of each run, `[MAPS, 2]`."""
     found = []
     for number in range(MAPS):
         known = np.loadtxt(folder / f"result{number}.csv", delimiter=",", usecols=4)  # in every step a row a cell
@@ -54,9 +54,9 @@ def ours(maps: list[mrac.World], settings: mrac.Settings, starts: int, rollouts:
     """Cells visited and robots left, means over starts and rollouts, `[MAPS, 2]`."""
     found = []
     for number, world in enumerate(maps):
-        luck = np.random.default_rng(number)
+        random = np.random.default_rng(number)
         for seed in range(starts):
-            placed = luck.integers(2, 15, (ROBOTS, 2))  # theirs begin anywhere within 6 m of the middle, each way
+            placed = random.integers(2, 15, (ROBOTS, 2))  # theirs begin anywhere within 6 m of the middle, each way
             plan = make_plan(world, placed, settings)
             engine = make_engine(plan, world.with_starts(placed), Rolling(seed=seed), "numba").until(DEADLINE)
             results = engine.results(0, rollouts)
@@ -81,7 +81,7 @@ def main(checkout: Path, starts: int, rollouts: int) -> None:
     maps = [mrac.load(checkout / f"sim/data/radiation_sources{number}.json") for number in range(MAPS)]
     for far, p, settings in OURS:
         known = maps if far == TOLD else [world.with_prior_map(p, sensor_range=far) for world in maps]
-        what = "told the map" if far == TOLD else f"expect {p:g}, see {far}"
+        what = "known map" if far == TOLD else f"expect {p:g}, see {far}"
         limits = f" worth {settings.robot_value} reserve {settings.risk_cap}"
         say(f"{what}: {settings.policy}{limits}", ours(known, settings, starts, rollouts), logs[0])
 

@@ -15,14 +15,14 @@ import mrac_jax as mrac
 
 
 class Fleet:
-    """Robots that go where they are told, and that the map's threats stop.
+    """Robots that follow orders and are destroyed by the threats of the map.
 
     Args:
         world: the map. trouble: chance that a report is lost, that it comes a step late, and that it is said twice.
     """
 
     def __init__(self, world: mrac.World, trouble: float, seed: int) -> None:
-        self.threat, self.trouble, self.luck = world.threat, trouble, random.Random(seed)
+        self.threat, self.trouble, self.random = world.threat, trouble, random.Random(seed)
         self.at: dict[int, tuple[int, int] | None] = {}
         self.stopped: set[int] = set()
         self.late: list[dict[str, Any]] = []
@@ -34,12 +34,12 @@ class Fleet:
             robot, cell = order["robot"], (order["cell"][0], order["cell"][1])
             if robot not in self.stopped and self.at.get(robot) != cell:
                 self.at[robot] = cell
-                if self.luck.random() < self.threat[cell]:
+                if self.random.random() < self.threat[cell]:
                     self.stopped.add(robot)
             report = {"type": "report", "robot": robot, "cell": self.at[robot], "step": step}
             if robot in self.stopped:  # who watches it says so, until no order comes any more
                 report["stopped"] = True
-            lost, late, doubled = (self.luck.random() < self.trouble for _ in range(3))
+            lost, late, doubled = (self.random.random() < self.trouble for _ in range(3))
             if late:
                 self.late.append(report)
             elif not lost:

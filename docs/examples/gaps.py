@@ -30,7 +30,7 @@ TRIES = {1: 300, 2: 300, 4: 400, 8: 300, 20: 25}
 """Orders of areas that are tried, by the robots of the team; of other teams as of the next smaller."""
 ROLLOUTS = 4096
 SEARCH_SEED = 10**6
-"""Seed of the search; what it finds is judged on other luck."""
+"""Seed of the search; its results are evaluated on other random numbers."""
 Row = dict[str, float | str]
 
 

@@ -37,13 +37,13 @@ P = 0.04
 
 @dataclass(frozen=True)
 class Question:
-    """Ways that a random map may be met, compared on the same maps and luck.
+    """Ways that a random map may be met, compared on the same maps and random numbers.
 
     Attributes:
         name: of the command. title: in words.
         ways: by name, what the map has beside itself: keys of a scenario (`analysis.sweeps.cases.SCENARIO_KEYS`).
         policies: of the teams; the last one is also compared with the one before.
-        less: (one, other): by how much more one covers. main: of these, those that the headline tells, with its words.
+        less: (one, other): by how much more one covers. main: of these, those that the summary tells, with its words.
     """
 
     name: str
@@ -121,7 +121,7 @@ MOVING = Question(
     ((STAND, LOST), (WALK, LOST), (PLANNED, WALK)),
     {
         (STAND, LOST): "To be told where threats stand is worth {} points",
-        (WALK, LOST): "where nobody is told, robots cover {} points more if they walk",
+        (WALK, LOST): "where robots do not know, they cover {} points more if they walk",
     },
 )
 QUESTIONS = {question.name: question for question in (ONLINE, MOVING)}
@@ -200,8 +200,8 @@ def study_knowing(
 # The report: coverage by way, what lies between ways, over the team.
 
 NOTE = (
-    "Visited, % of the accessible cells, and differences in points on the same maps and luck; ± half the 95 % interval "
-    "over maps."
+    "Visited, % of the accessible cells, and differences in points, common random numbers; ± half the 95 % "
+    "interval over maps."
 )
 
 
@@ -211,7 +211,7 @@ def report(study: Study) -> Report:
     kinds, _, policies = (list(dict.fromkeys(names)) for names in zip(*study.teams, strict=True))
     charts = {policy: [_chart(study, kind, policy) for kind in kinds] for policy in policies}
     return Report(
-        question.name, "reproduce", question.title, headline(study), study_json(study),
+        question.name, "reproduce", question.title, summary(study), study_json(study),
         heading=[
             f"{counted(study.maps, 'map')} a point, {counted(study.rollouts, 'rollout')} a map, first seed {study.seed}"
         ],
@@ -226,7 +226,7 @@ def report(study: Study) -> Report:
     )  # fmt: skip
 
 
-def headline(study: Study) -> str:
+def summary(study: Study) -> str:
     """The main differences, from the least to the largest of all teams."""
     said = []
     for pair, words in study.question.main.items():
@@ -284,7 +284,7 @@ def study_json(study: Study) -> Json:
     """The JSON object; coverage and differences are fractions."""
     teams = {team: dict(zip(("kind", "robots", "policy"), team, strict=True)) for team in study.teams}
     return {
-        "answer": headline(study),
+        "answer": summary(study),
         "question": study.question.name,
         "ways": study.question.ways,
         "points": [

@@ -28,9 +28,9 @@ def guarded(seed: int) -> Iterator[tuple[str, mrac.World]]:
     empty, free = empty.with_starts(place_starts(empty, ROBOTS)[0]), empty.free
     corners = np.argwhere(free[:-1, :-1] & free[1:, :-1] & free[:-1, 1:] & free[1:, 1:])
     chosen = np.random.default_rng(seed).choice(corners, 20, replace=False).tolist()
-    movers = [{"patrol": [[r, c], [r, c + 1], [r + 1, c + 1], [r + 1, c]], "h": 0.5} for r, c in chosen]
-    yield NAMES[0], empty.with_moving_threats(movers, plan_on="own")
-    yield NAMES[1], empty.with_moving_threats(movers, plan_on="joined")
+    threats = [{"patrol": [[r, c], [r, c + 1], [r + 1, c + 1], [r + 1, c]], "h": 0.5} for r, c in chosen]
+    yield NAMES[0], empty.with_moving_threats(threats, plan_on="own")
+    yield NAMES[1], empty.with_moving_threats(threats, plan_on="joined")
 
 
 def main(maps: int, rollouts: int) -> None:
@@ -44,9 +44,9 @@ def main(maps: int, rollouts: int) -> None:
                 visited = engine.results(0, rollouts).visited
                 found[name, policy].append(100 * float(visited.mean()) / engine.accessible)
     for policy in ("mrac", "per_cell"):
-        untold, told = (np.array(found[name, policy]) for name in NAMES)
-        say(f"{policy}: {NAMES[1]}", told)
-        say(f"{policy}: {NAMES[1]}, less {NAMES[0]}", told - untold)
+        without, with_routes = (np.array(found[name, policy]) for name in NAMES)
+        say(f"{policy}: {NAMES[1]}", with_routes)
+        say(f"{policy}: {NAMES[1]}, less {NAMES[0]}", with_routes - without)
 
 
 def say(what: str, values: NDArray[np.float64]) -> None:

@@ -71,13 +71,13 @@ class Setting:
 
 
 def rivals(kind: Kind, robots: int, side: int = 20) -> tuple[Setting, ...]:
-    """`mrac`, `per_cell`, and for two robots or more `per_cell` with a reserve."""
+    """`mrac`, `per_cell`, and for two robots or more `per_cell` with a risk cap."""
     plain = (Setting(kind, robots, side=side), Setting(kind, robots, "per_cell", side=side))
     return plain + (Setting(kind, robots, "per_cell", RISK_CAP, side=side),) * (robots > 1)
 
 
 def ladder(kind: Kind, robots: int) -> tuple[Setting, ...]:
-    """`per_cell` without and with a worth, the least willing last."""
+    """`per_cell` without and with robot values, ascending."""
     return tuple(Setting(kind, robots, "per_cell", robot_value=robot_value) for robot_value in (None, *ROBOT_VALUES))
 
 
@@ -245,7 +245,7 @@ def report(study: Study) -> Report:
     fronts = {robots: [_front(study, robots, kind) for kind in KINDS] for robots in FRONT_TEAMS}
     gains, charts = [_gains(study, kind) for kind in KINDS], [one for pair in fronts.values() for one in pair]
     return Report(
-        "policies", "reproduce", "What policies bring", headline(study), study_json(study),
+        "policies", "reproduce", "What policies bring", summary(study), study_json(study),
         heading=[
             f"{counted(maps, 'map')} a point, {counted(study.rollouts, 'rollout')} a map, first seed {study.seed}"
         ],
@@ -265,7 +265,7 @@ def report(study: Study) -> Report:
 def _gains(study: Study, kind: Kind) -> Chart:
     """Points more than `mrac` with the same team on the same maps, with 95 % intervals."""
     series = []
-    for place, name in ((1, "per_cell"), (2, "per_cell, reserve 1/4")):
+    for place, name in ((1, "per_cell"), (2, "per_cell, risk cap 1/4")):
         settings = tuple(rivals(kind, robots)[place] for robots in TEAMS if len(rivals(kind, robots)) > place)
         sizes, found = [setting.robots for setting in settings], [study.gain(setting) for setting in settings]
         series.append(Series.of(name, sizes, found, dashed=place == 2))
@@ -274,15 +274,18 @@ def _gains(study: Study, kind: Kind) -> Chart:
 
 def _front(study: Study, robots: int, kind: Kind) -> Chart:
     series = []
-    for settings, name in ((ladder(kind, robots), "per_cell with a worth"), (cuts(kind, robots), "mrac cut off")):
+    for settings, name in (
+        (ladder(kind, robots), "per_cell with a robot value"),
+        (cuts(kind, robots), "mrac ended early"),
+    ):
         lost = [study.estimate(setting, "losses").mean for setting in settings]
         seen = [100 * study.estimate(setting, "visited").mean for setting in settings]
-        series.append(Series(name, lost[::-1], seen[::-1], dashed=name != "per_cell with a worth"))
+        series.append(Series(name, lost[::-1], seen[::-1], dashed=name != "per_cell with a robot value"))
     title = f"Coverage against losses, {counted(robots, 'robot')}, {kind}"
     return Chart(title, tuple(series), "robots lost", "covered", unit="%", y_range=(0.0, 100.0))
 
 
-def headline(study: Study) -> str:
+def summary(study: Study) -> str:
     """The answer in a sentence."""
     gains = [100 * study.gain(rivals(kind, robots)[1]).mean for kind in KINDS for robots in TEAMS]
     worse = sum(len(study.worse(rivals(kind, robots)[1])) for kind in KINDS for robots in TEAMS)
@@ -294,7 +297,7 @@ def headline(study: Study) -> str:
 
 
 NOTES = (
-    "Coverage (visited) in % of the accessible cells; gains in points over mrac on the same maps and luck, ± half the "
+    "Coverage (visited) in % of the accessible cells; gains in points over mrac, common random numbers, ± half the "
     "95 % interval over maps.",
     "left: what no strategy exceeds, less the best here, on the maps that have the bound.",
 )
@@ -302,7 +305,7 @@ NOTES = (
 
 def gains_table(study: Study) -> Table:
     """A row for each kind and team: what each policy covers, its steps, its complete runs, and what is left."""
-    columns = ("kind", "k", "mrac", "per_cell", "reserve 1/4", "steps", "all, %", "left")
+    columns = ("kind", "k", "mrac", "per_cell", "risk cap 1/4", "steps", "all, %", "left")
     title, dropped = "Coverage over the team", ("left", "all, %")
     table = make_table(columns, title, left=("kind",), dropped=dropped, padding=(0, 1, 0, 0))
     for kind in KINDS:
@@ -331,7 +334,7 @@ def best_of(study: Study, settings: tuple[Setting, ...]) -> Setting:
 
 
 def front_table(study: Study, robots: int) -> Table:
-    """What is covered, lost and how long it takes: `per_cell` over its worth, `mrac` cut off."""
+    """What is covered, lost and how long it takes: `per_cell` by robot value, `mrac` ended early."""
     columns = ("policy", *(name for kind in KINDS for name in (f"{kind}, %", "lost", "steps")))
     title = f"Coverage against losses, {counted(robots, 'robot')}"
     table = make_table(columns, title, left=("policy",), padding=(0, 1, 0, 0))
@@ -403,7 +406,7 @@ def study_json(study: Study) -> Json:
         if (left := study.gap(best_of(study, rivals(kind, robots)))) is not None
     ]
     return {
-        "answer": headline(study),
+        "answer": summary(study),
         "points": points,
         "worse": worse,
         "any_strategy": gaps,

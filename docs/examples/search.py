@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 import mrac_jax as mrac
 from analysis.pictures import ROBOT_COLOURS, picture_style
-from planner.failure_model import exposure_of, tolerances
+from planner.failure_model import exp1_thresholds, exposure_of
 
 Cell = tuple[int, int]
 PIXEL, DISC = 30.0, 1800.0
@@ -221,7 +221,7 @@ class Search:
         The hazard is the same in every cell, so the failure threshold alone determines it.
         """
         visit = exposure_of(np.nanmax(self.world(lost).threat))
-        return -(-tolerances(0, np.arange(runs), len(self.paths)) // visit) - 1
+        return -(-exp1_thresholds(0, np.arange(runs), len(self.paths)) // visit) - 1
 
     def replanned(self, lost: float, runs: int) -> NDArray[np.float64]:
         """The likelihood of these rollouts if this script plans the survivors' paths again after each loss."""

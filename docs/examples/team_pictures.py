@@ -38,7 +38,7 @@ def site() -> mrac.World:
 
 
 def places(plan: mrac.Plan) -> NDArray[np.int64]:
-    """int64 `[T + 1, K]`: the cell of each robot at each step, if nobody is lost."""
+    """int64 `[T + 1, K]`: the cell of each robot at each step, if no robot is lost."""
     last = max(len(robot.path) for robot in plan.robots)
     return np.array([np.pad(robot.path, (0, last - len(robot.path)), mode="edge") for robot in plan.robots]).T
 
@@ -112,7 +112,7 @@ def radio(world: mrac.World) -> Figure:
         curve = firsts(places(plan)).sum(axis=1)
         name = "everybody hears everybody" if reach is None else f"radio {reach}"
         over_time.plot(curve, color="#20242b", linestyle=style, label=f"{name}: step {len(curve) - 1}")
-    over_time.set(xlabel="step", title="Cells visited, if nobody is lost")
+    over_time.set(xlabel="step", title="Cells visited, if no robot is lost")
     over_time.legend(loc="lower right")
     return figure
 
@@ -131,7 +131,7 @@ def recharge() -> Figure:
             moves = RANGE if stood >= CHARGE and now == path[0] else moves - (before != now)
             curve.append(moves)
         left.plot(curve, color=ROBOT_COLOURS[robot], label=f"robot {robot}")
-    left.set(ylabel="moves left", title="Four robots of 120 moves, ten steps to charge: if nobody is lost")
+    left.set(ylabel="moves left", title="Four robots of 120 moves, ten steps to charge: if no robot is lost")
     left.set_ylim(-5, 175)
     left.legend(ncols=4, loc="upper right")
     done.plot(firsts(cells).sum(axis=1), color="#20242b", label="charged")

@@ -339,7 +339,7 @@ class JaxClosedLoop(Engine):
             key = np.array(threshold_key(self.seed), np.uint32)
             left = put(_thresholds(key, put(queue.astype(np.uint32)), K))
         else:  # a Weibull shape other than 1, or different hazard multipliers
-            drawn = self.loop.failure_model.tolerances(self.seed, queue, self.loop.robots)
+            drawn = self.loop.failure_model.thresholds(self.seed, queue, self.loop.robots)
             left = put(uint64_pairs(np.pad(drawn, ((0, 0), (0, K - drawn.shape[1])))))
         rows = (LOG_ROUNDS + 1) * rows_of_round(self.loop.comes_home, B, K)
         zeros = partial(jnp.zeros, device=self._shared)  # allocated on the device: they may be gigabytes

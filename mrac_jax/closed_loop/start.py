@@ -37,7 +37,7 @@ def check_supported(loop: ClosedLoop) -> None:
         argument("wrecks", "block"): len(t.odds) > 0 and not loop.is_uncertain,
         "robots that learn the map": loop.learns,
         "an uncertain map": loop.is_uncertain,
-        "moving threats": loop.movers is not None,
+        "moving threats": loop.moving_threats is not None,
     }
     options = {
         argument("transit", "area"): loop.stay_inside,
@@ -113,7 +113,7 @@ def _robot(book: HostBook, raw, number: int, step: int) -> tuple[NDArray[np.int3
             entry = book.add_walk(cell, np.array([cell]))
     else:
         robot = loop.state.robots[number]  # type: ignore[union-attr]
-        if number in members(raw.movers):
+        if number in members(raw.moving):
             doing, area = {"covering": ln.COVER, "returning": ln.RETURN}.get(robot.status, ln.TRAVEL), int(robot.area)
             entry = _rest_of(book, raw, number, cell)
         elif number in members(raw.waiting):

@@ -97,7 +97,7 @@ def seen_world(world: World, seen: Seen, given: World | None = None) -> World:
     return replace(world, threat=threat, starts=None, value=value)
 
 
-def surprises(world: World, seen: Seen) -> NDArray[np.int64]:
+def map_changes(world: World, seen: Seen) -> NDArray[np.int64]:
     """The observed cells that differ from the map, int64, increasing.
 
     Args:
@@ -127,18 +127,18 @@ def learned_state(
     """
     state = _without_completed(_on_free_cells(state, world))
     problem = prepare(world, state.starts, settings, homes=state.homes(settings.return_to))
-    levels, news = problem.levels.of_cell, np.zeros(world.free.size, dtype=np.bool_)
-    news[changed] = True
+    levels, updated = problem.levels.of_cell, np.zeros(world.free.size, dtype=np.bool_)
+    updated[changed] = True
     areas = []
     for area in state.areas:
-        known = levels[area.cells[~news[area.cells]]]
+        known = levels[area.cells[~updated[area.cells]]]
         known = known[known != NO_LEVEL]
         level = int(np.bincount(known).argmax()) if len(known) else 0
-        news[area.cells] |= (levels[area.cells] != level) & (levels[area.cells] != NO_LEVEL)
+        updated[area.cells] |= (levels[area.cells] != level) & (levels[area.cells] != NO_LEVEL)
         areas.append(replace(area, level=level))
     state = replace(state, areas=tuple(areas))
-    state, got = _believing(problem, state, news)
-    seen = np.zeros(len(news), dtype=np.bool_)
+    state, got = _believing(problem, state, updated)
+    seen = np.zeros(len(updated), dtype=np.bool_)
     seen[state.visited] = True
     state, left = _without_completed(state), problem.levels.accessible.copy()
     for area in state.areas:
@@ -155,15 +155,15 @@ def _on_free_cells(state: MissionState, world: World) -> MissionState:
     return replace(state, robots=tuple(robots))
 
 
-def _believing(problem: Problem, state: MissionState, news: NDArray[np.bool_]) -> tuple[MissionState, bool]:
-    """The state after robots have updated the cells `news` `[N]`; and whether one got an area.
+def _believing(problem: Problem, state: MissionState, updated: NDArray[np.bool_]) -> tuple[MissionState, bool]:
+    """The state after robots have updated the cells `updated` `[N]`; and whether one got an area.
 
     For the simulator the new map is that of an announced phase that begins with the next step.
     """
     levels, within = problem.levels.of_cell, problem.levels.accessible.copy()
     for cells in (state.visited, problem.starts, *(area.cells for area in state.areas)):
         within[cells] = True
-    belief = np.where(news, ANOTHER, levels).astype(np.int16)
+    belief = np.where(updated, ANOTHER, levels).astype(np.int16)
     begins = np.array([0, state.step + 1])
     known, phases = Knowledge(problem.world.threat, Sense()), Phases(begins, np.stack([problem.world.threat] * 2))
     unknown = Unknown(
@@ -355,7 +355,7 @@ class HazardUpdates:
 
     def last_update(self, accessible: NDArray[np.bool_]) -> int:
         """Begin of the last announced phase that changes p of an accessible cell `[N]`; 0: none."""
-        if self.phases is None or not self.phases.told:
+        if self.phases is None or not self.phases.are_announced:
             return 0
         maps = self.phases.threats.reshape(len(self.phases.begins), -1)[:, accessible]
         return int(self.phases.begins[1:][(maps[1:] != maps[:-1]).any(axis=1)].max(initial=0))
@@ -368,22 +368,22 @@ class HazardUpdates:
             world: the map.
             held: cells of robots.
         """
-        told: Seen = {}
-        if self.phases is not None and self.phases.told and (self.phases.begins == step + 1).any():
+        updates: Seen = {}
+        if self.phases is not None and self.phases.are_announced and (self.phases.begins == step + 1).any():
             before, now = (self.phases.threats[int(self.phases.number_at(at))].ravel() for at in (step, step + 1))
             changed = np.flatnonzero((before != now) & world.free.ravel())
-            told = dict(zip(changed.tolist(), now[changed].tolist(), strict=True))
+            updates = dict(zip(changed.tolist(), now[changed].tolist(), strict=True))
         cells = np.array(sorted(self._happened), dtype=np.int64)
         self._happened.clear()
         if self.evidence is not None and len(cells):
             p = self.evidence.chances[self.evidence.class_of(self.odds, cells), cells]
             found = {cell: None if np.isnan(one) else float(one) for cell, one in zip(cells.tolist(), p, strict=True)}
-            told |= {cell: one for cell, one in found.items() if one is not None or cell not in {*held}}
-        return told
+            updates |= {cell: one for cell, one in found.items() if one is not None or cell not in {*held}}
+        return updates
 
     def met(self, step: int, world: World) -> NDArray[np.float32]:
         """float32 `[H, W]`: p of visits in the step, as known now."""
-        if self.phases is None or self.phases.told:
+        if self.phases is None or self.phases.are_announced:
             return world.threat
         return self.phases.threats[int(self.phases.number_at(step))]
 
@@ -507,8 +507,8 @@ def _as_known(world: World, keys: dict[str, Key]) -> tuple[World, bool]:
     seen = read_seen(keys["seen"])
     for one in seen:
         cell.check("seen", one, StateError, str(keys["seen"].source))
-    told = seen | dict.fromkeys(closed)
-    return (seen_world(world, told) if told else world), bool(told)
+    changes = seen | dict.fromkeys(closed)
+    return (seen_world(world, changes) if changes else world), bool(changes)
 
 
 def read_seen(key: Key) -> Seen:

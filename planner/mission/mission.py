@@ -60,15 +60,15 @@ class Mission:
     def __init__(self, world: World, plan: Plan, *, patience: int | None = PATIENCE, gain: float = 1.0) -> None:
         FRACTION.check("gain", gain)
         whole(1).check("patience", patience, optional=True)
-        if world.movers is not None:
+        if world.moving_threats is not None:
             world.require_certain_map("a mission that is driven")
-        self.given, self._lessons = world, HazardUpdates(world, plan)
+        self.given, self._hazard_updates = world, HazardUpdates(world, plan)
         if self.blocks and plan.settings is not None:
             # The plan itself is without wrecks: the mission adds them to the map as observed obstacles.
             plan = replace(plan, settings=replace(plan.settings, wrecks="ignore"))
         self._file: Path | None = None
-        if self._lessons:
-            # The plan uses the map as known at the start; `_lessons` adds what robots learn.
+        if self._hazard_updates:
+            # The plan uses the map as known at the start; `_hazard_updates` adds what robots learn.
             settings, world = plan.require(world), replace(world, uncertainty=None)
             plan = plan if plan.state is not None else make_plan(world, plan.starts, settings)
         self.world, self.patience, self.gain = world, patience, gain
@@ -86,11 +86,11 @@ class Mission:
         within, free = problem.levels.accessible, world.free.ravel()
         cut_off = (self.cut_off | dict(before or {})).items()
         self.cut_off = {cell: was for cell, was in cut_off if not within[cell] and (was or free[cell])}
-        last_update, cut = self._lessons.last_update(within), not all(self.cut_off.values())
+        last_update, cut = self._hazard_updates.last_update(within), not all(self.cut_off.values())
         self._fleet = Fleet(problem, replace(plan, areas=areas), self.gain, last_update, cut)
         robots = self._fleet.loop.robots
         # A resumed mission goes on with the exposure of its state.
-        self._borne = list(plan.state.exposures) if plan.state is not None else [0] * robots
+        self._hazards = list(plan.state.exposures) if plan.state is not None else [0] * robots
         self._waits, self._reports = [0] * robots, Reports(self._fleet)
         # Kept until a report deviates from them: orders cost a simulated step.
         self._orders: dict[int, Order] | None = None
@@ -121,7 +121,7 @@ class Mission:
     @property
     def blocks(self) -> bool:
         """Whether lost robots become obstacles."""
-        return self._lessons.wrecks is not None
+        return self._hazard_updates.wrecks is not None
 
     @property
     def robots(self) -> int:
@@ -167,7 +167,7 @@ class Mission:
         self._check_kept(fleet)
         if fleet.step == NOT_BEGUN:
             raise StateError("the mission has not begun", expected="a mission whose step 0 is over")
-        return state_of(fleet, fleet.problem, self._borne)
+        return state_of(fleet, fleet.problem, self._hazards)
 
     def _check_kept(self, fleet: Fleet) -> None:
         if (fleet.raw.robots["doing"] == Doing.FOLLOWING).any():
@@ -267,8 +267,8 @@ class Mission:
             raise
         # A report that the robot is where it was ordered confirms the cached orders of the others.
         due = None if self._orders is None else self._orders.get(number)
-        as_told = due is not None and new == Report(self._index(due.cell)) and len(self._reports.passed) == late
-        if new is not None and not as_told:
+        as_ordered = due is not None and new == Report(self._index(due.cell)) and len(self._reports.passed) == late
+        if new is not None and not as_ordered:
             self._orders = None
 
     def _number(self, robot: int) -> int:
@@ -286,13 +286,13 @@ class Mission:
         self._play(fleet, self._reports, False)
         # Announced phases and estimates first: a reported value replaces them.
         held, reported = fleet.places.values(), self._reports.seen
-        told = self._lessons.at_end(fleet.step, self.world, held) | reported
-        wrecks = self._lessons.new_wrecks(fleet.places)
+        found = self._hazard_updates.at_end(fleet.step, self.world, held) | reported
+        wrecks = self._hazard_updates.new_wrecks(fleet.places)
         # A cell that an operator has closed stays closed, whatever is observed there.
-        seen = {cell: p for cell, p in (told | dict.fromkeys(wrecks)).items() if cell not in self.closed}
+        seen = {cell: p for cell, p in (found | dict.fromkeys(wrecks)).items() if cell not in self.closed}
         self._reports.clear()
         self._orders = None
-        changed = map_updates.surprises(self.world, seen)
+        changed = map_updates.map_changes(self.world, seen)
         # Taken before the new allocation, which replaces the problem.
         known = fleet.problem.levels.accessible
         # A new allocation needs robots that are alive and steps that are left.
@@ -335,7 +335,7 @@ class Mission:
         for number, cell in reports.passed:
             fleet.visit(number, cell)
             if not ahead:
-                self._lessons.learn(number, cell, stopped=False)
+                self._hazard_updates.learn(number, cell, stopped=False)
         for number in range(self.robots):
             report = reports.now.get(number)
             if report is not None and report.found and not fleet.alive[number]:
@@ -391,9 +391,9 @@ class Mission:
         """Update a robot's cumulative hazard, its report, and its number of steps without a move."""
         fleet, cell = self._fleet, self._fleet.cell(number)
         if came:
-            self._borne[number] += int(exposure_of(self._lessons.met(fleet.step, self.world).flat[cell]))
+            self._hazards[number] += int(exposure_of(self._hazard_updates.met(fleet.step, self.world).flat[cell]))
         if came or not fleet.alive[number]:
-            self._lessons.learn(number, cell, stopped=not fleet.alive[number])
+            self._hazard_updates.learn(number, cell, stopped=not fleet.alive[number])
         self._waits[number] = 0 if came or due is None else self._waits[number] + 1
         if self.patience is not None and self._waits[number] >= self.patience and fleet.doing(number) in WHY:
             fleet.set_aside(number)
@@ -432,9 +432,9 @@ class Mission:
 
     def _go_on(self, world: World, plan: Plan, before: Mapping[int, bool] | None = None) -> None:
         """Continue with another plan, on an updated map; `before`: as in `_begin`."""
-        kept, reports, aside = (self._borne, self._waits), self._reports, self._aside
+        kept, reports, aside = (self._hazards, self._waits), self._reports, self._aside
         self._begin(world, plan, before)
-        self._borne, self._waits = kept
+        self._hazards, self._waits = kept
         # Reports made before cells were closed still hold.
         self._reports.carry(reports)
         self._set_aside(aside)
@@ -459,7 +459,7 @@ class Mission:
         mission.given, mission._file = world, Path(path).resolve()
         if plan.settings is not None and plan.settings.blocks:
             cell, robot = whole(0, world.threat.size - 1), whole(0, mission.robots - 1)
-            mission._lessons.wrecks = map_updates.read_pairs(keys["wrecks"], "[robot, cell]", robot, cell)
+            mission._hazard_updates.wrecks = map_updates.read_pairs(keys["wrecks"], "[robot, cell]", robot, cell)
             mission._begin(known, rest, map_updates.read_pairs(keys["cut_off"], "[cell, visited]", cell, whole(0, 1)))
         heard, waits = (keys[name].items("a list of steps", least=0) for name in ("heard", "waits"))
         for steps in (heard, waits):
@@ -471,7 +471,7 @@ class Mission:
         mission._set_aside([one.number(robot) for one in keys["aside"].items("a list of robots", least=0)])
         mission.closed = [one.value for one in keys["closed"].items("a list of cells", least=0)]
         mission.seen, mission._reports.seen = map_updates.read_seen(keys["seen"]), map_updates.read_seen(keys["sees"])
-        mission._lessons.read(keys["odds"])
+        mission._hazard_updates.read(keys["odds"])
         for report in keys["reports"].items("a list of reports", least=0):
             map_updates.hand_on(mission.report, report)
         step = whole(NOT_BEGUN, mission.step, what="a step that is not to come")
@@ -499,10 +499,10 @@ class Mission:
         more: Json = {"seen": _pairs(self.seen), "sees": _pairs(self.sees)}
         more |= {"closed": self.closed, "range": self.settings.range, "aside": self._aside}
         more |= {"reports": self.as_json(), "heard": self._reports.heard, "waits": self._waits}
-        more |= {"odds": self._lessons.to_json()}
-        if self._lessons.wrecks is not None:
+        more |= {"odds": self._hazard_updates.to_json()}
+        if self._hazard_updates.wrecks is not None:
             cut_off = [[cell, int(was)] for cell, was in self.cut_off.items()]
-            more |= {"wrecks": [*self._lessons.wrecks.items()], "cut_off": cut_off}
+            more |= {"wrecks": [*self._hazard_updates.wrecks.items()], "cut_off": cut_off}
         more |= {} if self.outcome is None else {"ended": self.known()}
         map_updates.write_mission(path, self.world, state, more)
         self._file = file

@@ -162,8 +162,8 @@ class Fleet(SingleRun):
         s.marks.progress, decided = 1, me.next if step > 0 else me.cell
         cell = decided if cell is None else cell
         if self.p is not None:
-            # Before the cell is marked as visited: afterwards it is news no more.
-            s.marks.changes += interpreted("replanning").is_news(s, number, cell)
+            # Before the cell is marked as visited: afterwards it is updated no more.
+            s.marks.changes += interpreted("replanning").updates_map(s, number, cell)
             s.home[cell] = int(s.home[cell]) & ~TO_DO
         interpreted("visits").enter(self.t, s, self.c, self.w, self.log, self.how, self.ids, step, number, cell, 1)
 
@@ -187,7 +187,7 @@ class Fleet(SingleRun):
         """The robot is on its way and has not arrived yet: the step counts as progress."""
         me = self.s.robots[number]
         self.s.marks.progress = 1
-        if holds(self.raw.movers, number):
+        if holds(self.raw.moving, number):
             me.until += 1  # as many moves left as before
         if me.doing == Doing.FOLLOWING:
             self._insert(number, [me.cell])
@@ -217,7 +217,7 @@ class Fleet(SingleRun):
         if t.returns and me.doing == Doing.RETURNING:
             interpreted("return_home").move_to_base(t, s, log, number)
         elif self.moves_left(number) == 0:
-            if holds(self.raw.movers, number) or holds(self.raw.waiting, number):
+            if holds(self.raw.moving, number) or holds(self.raw.waiting, number):
                 interpreted("return_home").stay(t, s, w, log, number)
         elif me.doing == Doing.FOLLOWING:
             self._arrive(number)
@@ -236,9 +236,9 @@ class Fleet(SingleRun):
         if number in self.turned and t.returns:
             ahead = interpreted("range_budget").moves_home(t, number, me.cell)
             if ahead < 0:
-                interpreted("state").drop(s.movers, number)
+                interpreted("state").drop(s.moving, number)
                 me.doing = Doing.DONE
-            elif holds(self.raw.movers, number) or ahead > 0:
+            elif holds(self.raw.moving, number) or ahead > 0:
                 me.doing, me.next = Doing.RETURNING, t.onward[t.home_of[number], me.cell]
                 self._move_again(number)
         elif me.doing == Doing.FOLLOWING:
@@ -360,8 +360,8 @@ class Fleet(SingleRun):
                 s.home[at] = int(s.home[at]) & ~TO_DO
         elif s.home[at] & SURVIVED == 0:
             interpreted("visits").mark_survived(s, self.c, s.marks.step, at, 1)
-        if len(s.carried):
-            interpreted("state").put(s.carried[number], at)
+        if len(s.undelivered):
+            interpreted("state").put(s.undelivered[number], at)
             interpreted("visits").deliver(self.t, s, number, at)
 
     def find(self, number: int) -> None:
@@ -396,7 +396,7 @@ class Fleet(SingleRun):
         t, s, w, log, me = self.t, self.s, self.w, self.log, self.s.robots[number]
         owns, followed, area = interpreted("areas").has_area(s.robots, number), me.doing == Doing.FOLLOWING, me.area
         self._count_moves()
-        interpreted("state").drop(s.movers, number)
+        interpreted("state").drop(s.moving, number)
         interpreted("state").drop(s.waiting, number)
         self._count_moves()
         me.doing = Doing.DONE
@@ -465,12 +465,12 @@ class Fleet(SingleRun):
 
     def _move_again(self, number: int) -> None:
         """Let a robot that rests move: `until` becomes a turn again."""
-        if not holds(self.raw.movers, number):
+        if not holds(self.raw.moving, number):
             self.s.robots[number].until += self._turns(number)
-            interpreted("state").put(self.s.movers, number)
+            interpreted("state").put(self.s.moving, number)
 
     def _set_moves(self, number: int, moves: int) -> None:
-        turns = self._turns(number) if holds(self.raw.movers, number) else 0
+        turns = self._turns(number) if holds(self.raw.moving, number) else 0
         self.s.robots[number].until = moves + turns
 
 

@@ -77,7 +77,7 @@ class Unknown:
         return int(self.phases.begins[1:][changes].max(initial=0))
 
     @property
-    def dearest(self) -> ThreatLevels:
+    def highest(self) -> ThreatLevels:
         """The highest level that each reachable cell may have."""
         most = np.maximum(self.truths.max(axis=0), self.belief)
         return ThreatLevels(self.values, np.where(self.within, most, NO_LEVEL).astype(np.int16), self.quantised)
@@ -101,11 +101,11 @@ def unknown_map_of(world: World, starts: NDArray[np.int64], most: int) -> Unknow
     known = world.knowledge
     if world.learned_hazard is not None:
         return _of_changes(world, starts, most, world.learned_hazard.evidence.chances, world.learned_hazard.evidence)
-    if world.phases is not None and world.phases.told:
+    if world.phases is not None and world.phases.are_announced:
         return _of_changes(world, starts, most, world.by_phase, phases=world.phases)
     if known is None:
         return None
-    told = as_planned(world, starts).threat
+    planned = as_planned(world, starts).threat
     if isinstance(world.uncertainty, Uncertain) and world.uncertainty.whole:
         true = np.stack([world.uncertainty.threat_at(row).ravel() for row in range(world.uncertainty.count)])
     else:
@@ -114,7 +114,7 @@ def unknown_map_of(world: World, starts: NDArray[np.int64], most: int) -> Unknow
     within = reached(free, starts[:, 0] * world.shape[1] + starts[:, 1])
     # Levels of the prior map, before any cell was seen, and of all true maps: the scale reveals no place.
     values, of_cell, quantised = levels_of_maps(np.concatenate([world.threat.reshape(1, -1), true]), within, most)
-    looked = ((told != world.threat) & ~(np.isnan(told) & np.isnan(world.threat))).ravel()
+    looked = ((planned != world.threat) & ~(np.isnan(planned) & np.isnan(world.threat))).ravel()
     belief = np.where(looked, of_cell[1], of_cell[0]).astype(np.int16)
     return Unknown(known, values, quantised, belief, of_cell[1:], within, world.accessible(starts).ravel())
 
@@ -236,7 +236,7 @@ class Problem:
     @property
     def max_steps(self) -> int:
         """T_max of the run (SPEC section 5) or its deadline, limited by the random-number counter."""
-        levels = self.levels if self.unknown is None else self.unknown.dearest
+        levels = self.levels if self.unknown is None else self.unknown.highest
         return most_steps(self.settings, levels, max(map(len, self.given), default=1) - 1)
 
     @property
@@ -289,7 +289,7 @@ class Problem:
         """More than the price of any area if cells have values, else 0."""
         if self.value is None:
             return 0
-        costs = self.costs if self.unknown is None else self.entry[self.unknown.dearest.of_cell[self.unknown.within]]
+        costs = self.costs if self.unknown is None else self.entry[self.unknown.highest.of_cell[self.unknown.within]]
         return _beyond(int(costs.sum()), self.costs.size, self.entry)
 
     @cached_property
@@ -349,7 +349,7 @@ def prepare(
     unknown = unknown_map_of(world, checked, settings.levels)
     if settings.blocks:
         unknown = _of_wrecks(world, checked, settings)
-    told = unknown is None
+    is_known = unknown is None
     rule, cells = rule_of(settings.policy), checked[:, 0] * world.shape[1] + checked[:, 1]
     given_range = NO_LIMIT if settings.range is None else settings.range
     moves = np.broadcast_to(np.asarray(given_range, dtype=np.int64), len(cells))
@@ -361,12 +361,12 @@ def prepare(
         costs = own.costs.max(axis=0)
     else:
         accessible = world.accessible(checked)
-        levels = unknown.dearest if unknown else find_levels(world.threat, accessible, settings.levels)
+        levels = unknown.highest if unknown else find_levels(world.threat, accessible, settings.levels)
         costs = entry_costs(levels, settings.risk, world.source)
         entry = level_costs(levels.values, costs.size, settings.risk).astype(np.int64)
     value = decision_values(world, levels.accessible, settings.priority) if rule.replanning else None
     if own is None:
-        _check_comparisons(rule, levels, costs, entry, value, world.source, apart=told)
+        _check_comparisons(rule, levels, costs, entry, value, world.source, apart=is_known)
     else:  # the surcharge over another type is part of an area's cost
         most = entry[own.level.max(axis=0)]
         _check_comparisons(rule, levels, 2 * costs, most, value, world.source, apart=True)
@@ -442,12 +442,12 @@ def _check_comparisons(
     beyond = 0 if value is None else _beyond(longest, costs.size, entry)
     most = counts if value is None else [VALUE_SCALE * n for n in counts]
     shown = [costs.size if rule.looks_ahead else 0] * number
-    dearest = list(
+    highest = list(
         map(Offer, range(number), [longest] * number, counts, entry.tolist(), most, [beyond] * number, shown)
     )
     if value is not None:
-        dearest += [offer._replace(value=0) for offer in dearest]
-    if rule.largest(dearest) >= 2**63:
+        highest += [offer._replace(value=0) for offer in highest]
+    if rule.largest(highest) >= 2**63:
         raise WorldError(
             f"threat levels up to {levels.values[-1]:g} make areas too expensive for policy {rule.name} to compare",
             source=source,

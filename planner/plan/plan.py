@@ -102,7 +102,7 @@ class Plan:
         notes: for users (cells on no path, ...).
         for_open_loop: whether the paths are those of `planner.open_loop`.
         state: of the mission that the plan resumes: until its step the paths stand still; or None.
-        bears: failure model of an external plan; else the settings determine it. See `failure_model`.
+        failures: failure model of an external plan; else the settings determine it. See `failure_model`.
         source: origin of its map, as in `World`: plan files hold it.
     """
 
@@ -118,14 +118,14 @@ class Plan:
     notes: tuple[str, ...] = field(default=())
     for_open_loop: bool = False
     state: MissionState | None = None
-    bears: FailureModel = PLAIN
+    failures: FailureModel = PLAIN
     source: str = ""
 
     @property
     def failure_model(self) -> FailureModel:
         """The failure model of its robots, with their cumulative hazards so far."""
         if self.settings is None:
-            return self.bears
+            return self.failures
         begun = () if self.state is None or self.settings.weibull_shape == 1 else self.state.exposures
         return self.settings.failure_model(begun)
 
@@ -141,14 +141,15 @@ class Plan:
         settings = replace(self.settings or self._own, **what)
         settings.check()
         settings.check_team(len(self.robots))
-        return replace(self, bears=settings.failure_model()) if self.is_external else replace(self, settings=settings)
+        if self.is_external:
+            return replace(self, failures=settings.failure_model())
+        return replace(self, settings=settings)
 
     @property
     def _own(self) -> Settings:
         """The default settings with the failure model of an external plan."""
-        return Settings(
-            weibull_shape=self.bears.shape, hazard_multiplier=self.bears.hazard_multiplier, types=self.bears.types
-        )
+        own = self.failures
+        return Settings(weibull_shape=own.shape, hazard_multiplier=own.hazard_multiplier, types=own.types)
 
     @property
     def is_external(self) -> bool:
@@ -230,7 +231,7 @@ class Plan:
     def until(self, step: int) -> Plan:
         """The plan truncated at the end of `step`: open-loop rollouts are the first steps of the whole plan's."""
         robots = tuple(RobotPlan(robot.path[: step + 1]) for robot in self.robots)
-        return replace(self, settings=None, areas=(), areas_added=(), robots=robots, bears=self.failure_model)
+        return replace(self, settings=None, areas=(), areas_added=(), robots=robots, failures=self.failure_model)
 
     def area(self, number: int) -> Area:
         """The area with this id, including those added by sharing."""
@@ -309,7 +310,7 @@ class Plan:
             "areas_added": [area_of(area) for area in self.areas_added],
             "notes": list(self.notes),
             **({"plan_for": "open_loop"} if self.for_open_loop else {}),
-            **(self.bears.to_json() if self.is_external else {}),
+            **(self.failures.to_json() if self.is_external else {}),
             **({"state": self.state.to_json()} if self.state is not None else {}),
         }
 
@@ -360,7 +361,7 @@ def is_certain(world: World, plan: Plan, loop: str = "closed") -> bool:
         loop: "open" or "closed".
     """
     unknown = plan.is_external or world.knowledge is not None or world.learned_hazard is not None
-    if world.movers is not None or (loop == "closed" and unknown):
+    if world.moving_threats is not None or (loop == "closed" and unknown):
         return False
     if world.draws is not None:
         return not any(world.draws.bound[robot.path].any() for robot in plan.robots)

@@ -31,7 +31,7 @@ REMAKE = "make the plan again with `mrac-jax plan`"
 PARTS = ("areas", "areas_added")
 LATER = ("nominal", "notes", "plan_for", "state")
 """Keys added since version 1 of the format, which a file may lack."""
-BORNE = (*BEARING, "types")
+FAILURE_KEYS = (*BEARING, "types")
 """Keys of an external plan: its failure model."""
 
 
@@ -65,7 +65,7 @@ def parse_plan(data: object, world: World, source: str) -> Plan:
     if isinstance(data, list) and data:
         if all(isinstance(cell, list) and len(cell) == 2 and all(type(n) is int for n in cell) for cell in data):
             raise top.fault("holds one path", "a list of paths, one a robot", "put it in a list: [[[row, col], ...]]")
-        return _foreign_plan(top, {}, world)
+        return _external_plan(top, {}, world)
     if not isinstance(data, dict):
         raise top.wrong("a JSON object, or a list of paths")
     # Without the name of our format, a file counts as the output of another planner.
@@ -74,14 +74,14 @@ def parse_plan(data: object, world: World, source: str) -> Plan:
     if "paths" not in data:
         problem = f"has the format {reprlib.repr(data['format'])}, and no paths" if "format" in data else "has no paths"
         raise top.fault(problem, f'"format": "{FORMAT}", or "paths": [[[row, col], ...], ...] of another planner')
-    keys = top.mapping(("paths",), (*POLICY, *BORNE), strict=False)
+    keys = top.mapping(("paths",), (*POLICY, *FAILURE_KEYS), strict=False)
     for name in POLICY:
         if name in keys and keys[name].value is not None:
             raise keys[name].wrong("paths only", "leave it out: paths have no areas to decide on")
-    return _foreign_plan(keys["paths"], keys, world)
+    return _external_plan(keys["paths"], keys, world)
 
 
-def _foreign_plan(paths: Key, keys: dict[str, Key], world: World) -> Plan:
+def _external_plan(paths: Key, keys: dict[str, Key], world: World) -> Plan:
     """An external plan, with a note that counts the accessible cells on no path.
 
     Its failure model is that of the file, else that of the world.
@@ -94,16 +94,16 @@ def _foreign_plan(paths: Key, keys: dict[str, Key], world: World) -> Plan:
     if len(missed):
         notes = (f"accessible cells on no path: {len(missed)} (the first: {at(missed[0], world)})",)
     # The file's own failure model, if it has one, replaces that of the world key by key.
-    told = {name: value for name, value in world.team.settings.items() if name in BORNE}
+    settings = {name: value for name, value in world.team.settings.items() if name in FAILURE_KEYS}
     kept = [name for name in KEPT if name in world.team.settings]
     if kept and ("plan_for" not in keys or keys["plan_for"].value is None):
         notes += (f"robots follow external paths to their end; ignored from {world.source}: {' and '.join(kept)}",)
-    told |= {name: keys[name].setting(SETTINGS[name]) for name in BORNE if name in keys}
-    bears = Settings(**told).failure_model()
+    settings |= {name: keys[name].setting(SETTINGS[name]) for name in FAILURE_KEYS if name in keys}
+    failures = Settings(**settings).failure_model()
     # The number of robots is only known from the paths: settings with a value for each robot are checked here.
-    bears.check(len(robots), source)
-    world.of_robots(bears.types, len(robots))
-    return replace(plan, time=plan.makespan, notes=notes, bears=bears)
+    failures.check(len(robots), source)
+    world.of_robots(failures.types, len(robots))
+    return replace(plan, time=plan.makespan, notes=notes, failures=failures)
 
 
 def _team(key: Key) -> list[Key]:
@@ -115,7 +115,7 @@ def _team(key: Key) -> list[Key]:
 
 def _own_plan(top: Key, world: World) -> Plan:
     """A plan in the `mrac-plan` format: version, map, settings, paths with legs, areas, nominal outcome."""
-    keys = top.mapping(("version", "world", "robots"), ("settings", *PARTS, *LATER, *BORNE), strict=False)
+    keys = top.mapping(("version", "world", "robots"), ("settings", *PARTS, *LATER, *FAILURE_KEYS), strict=False)
     version = keys["version"].number(whole(1))
     # Older versions lack keys, which have defaults; a newer one may hold keys that change the meaning of others.
     if version > VERSION:
@@ -123,7 +123,7 @@ def _own_plan(top: Key, world: World) -> Plan:
     check_map(keys["world"], world, "plan for", f"give the map that it was made for, or {REMAKE}")
     entries = [robot.mapping(("path",), ("legs",), strict=False) for robot in _team(keys["robots"])]
     if "settings" not in keys or keys["settings"].value is None:
-        return _saved_foreign_plan(keys, entries, world)
+        return _saved_external_plan(keys, entries, world)
     # A plan with settings must list its areas; one without settings cannot have any.
     top.mapping(PARTS, strict=False)
     given = keys["settings"].mapping(optional=SETTINGS)
@@ -149,14 +149,14 @@ def _own_plan(top: Key, world: World) -> Plan:
     return replace(plan, outcome=outcome, time=time, shares=shares)
 
 
-def _saved_foreign_plan(keys: dict[str, Key], entries: list[dict[str, Key]], world: World) -> Plan:
+def _saved_external_plan(keys: dict[str, Key], entries: list[dict[str, Key]], world: World) -> Plan:
     """An external plan saved in the `mrac-plan` format: paths without settings, areas and legs."""
     for part in (*(keys[name] for name in PARTS if name in keys), *(one["legs"] for one in entries if "legs" in one)):
         if part.value:
             raise part.wrong("none, as there are no settings")
     robots = keys["robots"]
     paths = Key([entry["path"].value for entry in entries], "robots", robots.source, robots.error, robots.fix)
-    plan = _foreign_plan(paths, keys, world)
+    plan = _external_plan(paths, keys, world)
     if "plan_for" not in keys or keys["plan_for"].value is None:
         return plan
     keys["plan_for"].choice(("open_loop",), LOOPS)

@@ -34,7 +34,7 @@ class RobotState:
         moves: made so far. held: kept from areas at risk (`risk_cap`).
         exposure: its cumulative hazard, in units of 2**-32 nat; None: not known.
         home: its first cell, None: not known. turned: whether it has started its return to base (SPEC section 19).
-        carried: int64, the cells that it has visited since it was last at a base.
+        undelivered: int64, the cells that it has visited since it was last at a base.
     """
 
     cell: int
@@ -47,7 +47,7 @@ class RobotState:
     exposure: int | None = None
     home: int | None = None
     turned: bool = False
-    carried: NDArray[np.int64] = field(default_factory=lambda: NO_CELLS)
+    undelivered: NDArray[np.int64] = field(default_factory=lambda: NO_CELLS)
 
     @property
     def alive(self) -> bool:
@@ -141,7 +141,7 @@ class MissionState:
                 | ({} if r.exposure is None else {"exposure": r.exposure / NAT})
                 | ({} if r.home is None else {"home": r.home})
                 | ({"turned": True} if r.turned else {})
-                | ({"carried": r.carried.tolist()} if len(r.carried) else {})
+                | ({"undelivered": r.undelivered.tolist()} if len(r.undelivered) else {})
                 for r in self.robots
             ],
             "areas": [

@@ -51,7 +51,7 @@ ANEW = "write it with `record --state-at`, or leave areas, ahead and to_do out: 
 DEFAULTS = {"world": {}, "step": 0, "survived": None, "areas": [], "to_do": None, "held": [], "quiet": 0}
 DEFAULTS |= {"over": None, "delivered": None}
 OF_ROBOTS = {"status": "idle", "area": NO_AREA, "ahead": [], "moves": 0, "exposure": None, "home": None}
-OF_ROBOTS |= {"turned": False, "carried": []}
+OF_ROBOTS |= {"turned": False, "undelivered": []}
 """Keys that a state, and each of its robots, may lack."""
 
 
@@ -130,8 +130,8 @@ def _state_file_robot(key: Key, to_do: Key, held: bool, world: World, before: Wo
     if not isinstance(keys["turned"].value, bool):
         raise keys["turned"].wrong("true or false")
     turned = keys["turned"].value or status == RETURNING
-    to_do_, carried = read_cells(to_do, world), read_cells(keys["carried"], before)
-    return RobotState(cell, status, area, ahead, to_do_, moves, held, exposure, home, turned, carried)
+    to_do_, undelivered = read_cells(to_do, world), read_cells(keys["undelivered"], before)
+    return RobotState(cell, status, area, ahead, to_do_, moves, held, exposure, home, turned, undelivered)
 
 
 def _area(key: Key, world: World) -> AreaState:

@@ -104,7 +104,7 @@ def compile_closed_loop(
         state=plan.state,
         purpose=purpose_of(world),
         failure_model=plan.failure_model,
-        movers=world.movers,
+        moving_threats=world.moving_threats,
         uncertainty=world.uncertainty if learns and isinstance(world.uncertainty, Uncertain) else None,
         in_area=None
         if isinstance(order, str)
@@ -320,13 +320,13 @@ def tally_from(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[
 def nominal_loop(loop: ClosedLoop) -> ClosedLoop:
     """The closed loop without losses, on a true map that equals the prior map."""
     tables = loop.tables
-    safe = tables._replace(bound=np.zeros_like(tables.bound), movers=tables.movers[:0])
+    safe = tables._replace(bound=np.zeros_like(tables.bound), moving_threats=tables.moving_threats[:0])
     if loop.learns and not len(tables.phases):  # phases are announced: they change the nominal run's map too
         safe = safe._replace(truths=np.tile(tables.belief, (len(tables.truths), 1)), goal=len(tables.order))
     policy = None if loop.policy is None else loop.policy._replace(view_begin=loop.policy.view_begin[:0])
     # Without online updates and moving threats the first state is unchanged, so it is shared.
-    begin = replace if loop.learns or loop.movers is not None else ClosedLoop.again
-    return begin(loop, tables=safe, movers=None, uncertainty=None, policy=policy)
+    begin = replace if loop.learns or loop.moving_threats is not None else ClosedLoop.again
+    return begin(loop, tables=safe, moving_threats=None, uncertainty=None, policy=policy)
 
 
 def with_nominal_run(plan: Plan, loop: ClosedLoop) -> Plan:

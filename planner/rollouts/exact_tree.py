@@ -50,11 +50,6 @@ class Tree:
     cut: int
     seconds: float = 0.0
 
-    @property
-    def share_cut(self) -> float:
-        """The probability below which branches were left."""
-        return self.cut / WHOLE
-
     @cached_property
     def left(self) -> float:
         """Probability of the branches that were left."""
@@ -208,7 +203,7 @@ def grow_tree(loop: ClosedLoop, slack: float, most: int, cheap: int = CHEAP) -> 
         The tree; None if `most` histories do not suffice, or if the loop has none.
     """
     runner = Runner(loop, 0, loop.robots + 1)
-    if loop.is_uncertain or loop.movers is not None or loop.weights is not None or not runner.has_levels:
+    if loop.is_uncertain or loop.moving_threats is not None or loop.weights is not None or not runner.has_levels:
         return None
     began, good = time.perf_counter(), None
     # A tree of two robots has no more histories than their paths have dangers, so it is grown without a cut.

@@ -34,7 +34,7 @@ Arrays = TypeVar("Arrays", bound=tuple)
 
 FEATURES = {
     "follows": "given", "walks": "entry", "searches": "entry", "uncertain": "own_counter", "spends": "spent",
-    "wears": "times", "moving": "movers", "mixed": "type_of", "paced": "pace", "radio": "reach",
+    "wears": "times", "moving": "moving_threats", "mixed": "type_of", "paced": "pace", "radio": "reach",
     "returns": "home_cost", "learns": "truths", "estimates": "odds", "phased": "phases",
 }  # fmt: skip
 """The features, and the table of each, which is empty where a mission does not use it."""
@@ -96,7 +96,7 @@ class ClosedLoop:
         bearing: the failure model.
         purpose: of the key under which an uncertain map is drawn (`planner.world.uncertain_maps.Draws`).
         state: of the mission that rollouts resume; None: they begin at t = 0.
-        movers: moving threats, whose positions are kept for each rollout; None: there are none.
+        moving_threats: moving threats, whose positions are kept for each rollout; None: there are none.
         uncertainty: candidates of the true map, of which each rollout draws one; None: there is one true map.
         in_area: a user's order of the cells of an area, `(here, cell, cost) -> anything that Python can compare`,
             with cells as indices in `cells`; None: the planner's. Not supported by compiled programs.
@@ -115,7 +115,7 @@ class ClosedLoop:
     weights: Weights | None = None
     purpose: int = 0
     failure_model: FailureModel = PLAIN
-    movers: MovingThreats | None = None
+    moving_threats: MovingThreats | None = None
     uncertainty: Uncertain | None = None
     in_area: Callable[[int, int, int], Any] | None = None
 
@@ -142,7 +142,7 @@ class ClosedLoop:
     @property
     def runs_alone(self) -> bool:
         """True if each rollout is a separate group: no two have the same detector readings."""
-        return bool(self.tables.lessons[DETECTS:].any())
+        return bool(self.tables.evidence[DETECTS:].any())
 
     @property
     def robots(self) -> int:
@@ -162,7 +162,7 @@ class ClosedLoop:
     @property
     def keeps_apart(self) -> bool:
         """True if some state is kept for every rollout."""
-        return self.is_uncertain or self.movers is not None or self.runs_alone
+        return self.is_uncertain or self.moving_threats is not None or self.runs_alone
 
     def on_grid(self, values: NDArray[Any], other: Any = 0) -> NDArray[Any]:
         """Values of the accessible cells on the whole grid.
@@ -198,7 +198,7 @@ class ClosedLoop:
         """The state that every group begins with, made once for each `room` (areas); one level for each true map."""
         if room not in self._first:
             first = first_state(self.tables, room, self.weights is not None)
-            first = first._replace(carried=first.carried[: len(first.carried) * self.delivers])
+            first = first._replace(undelivered=first.undelivered[: len(first.undelivered) * self.delivers])
             if self.state is not None:
                 write_mission_state(self.state, first, self.tables, self.cells)
             levels = 1 if self.uncertainty is None else len(self.tables.truths)
@@ -217,9 +217,9 @@ class ClosedLoop:
 
     def first_places(self, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
         """`planner.simulator.state.Work.at` of these rollouts at t = 0, int64 `[B, M]`."""
-        assert self.movers is not None
-        places = first_places(self.movers, seed, ids)
-        walks = np.array([not one.patrols for one in self.movers.members])
+        assert self.moving_threats is not None
+        places = first_places(self.moving_threats, seed, ids)
+        walks = np.array([not one.patrols for one in self.moving_threats.members])
         number = self.on_grid(np.arange(len(self.cells)), len(self.cells))
         # Walking threats are numbered by accessible cells; those on routes keep their index on the route.
         places[:, walks] = number[places[:, walks]]

@@ -137,7 +137,7 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
     plan.require(world)
     if plan.state is not None:
         raise PlanError("a mission under way has no open loop", fix=f"use {argument('loop', 'closed')}")
-    if world.movers is not None:
+    if world.moving_threats is not None:
         problem = "the open loop cannot include moving threats, which destroy robots anywhere"
         raise PlanError(problem, source=world.source, fix=f"use {argument('loop', 'closed')}")
     if plan.settings is not None and len(plan.robots) > 1:

@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 
 from planner.failure_model import FailureModel
 from planner.plan.plan import Plan, RobotPlan, last_move
-from planner.rollout_sampling import Luck
+from planner.rollout_sampling import LossDraws
 from planner.simulator.codes import NO_AREA, NO_ROBOT, Doing, EventKind, Outcome
 from planner.simulator.thresholds import threefry2x32
 from planner.tally import Trace
@@ -37,7 +37,7 @@ def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int) -> Trace:
         seed: of the random numbers.
         rollout: id.
     """
-    stops = _stops(plan, Luck(world, seed, rollout, plan.failure_model))
+    stops = _stops(plan, LossDraws(world, seed, rollout, plan.failure_model))
     ends = [last_move(robot.path) if stop is None else stop for robot, stop in zip(plan.robots, stops, strict=True)]
     time = max(ends)
     area_of = _area_of(plan, world)
@@ -57,12 +57,12 @@ def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int) -> Trace:
     )
 
 
-def _stops(plan: Plan, luck: Luck) -> list[int | None]:
+def _stops(plan: Plan, draws: LossDraws) -> list[int | None]:
     """The step at which each robot is lost, or None; evaluated in the order in which robots move."""
     stops: list[int | None] = [None] * len(plan.robots)
     moves = [(step, number) for number, robot in enumerate(plan.robots) for step in robot.entered.tolist()]
     for step, number in sorted(moves):
-        if stops[number] is None and luck.hits(number, step, int(plan.robots[number].path[step])):
+        if stops[number] is None and draws.hits(number, step, int(plan.robots[number].path[step])):
             stops[number] = step
     return stops
 

@@ -24,7 +24,7 @@ from planner.rollouts.open_loop import (
     weight_planes,
     words_of,
 )
-from planner.simulator.failure_sampling import hazard_in_state, threefry, tolerance
+from planner.simulator.failure_sampling import exp1_threshold, hazard_in_state, threefry
 from planner.simulator.jit import program, rare_kernel
 from planner.simulator.state import leading_zeros, popcount
 from planner.simulator.thresholds import exp1_hazard
@@ -169,7 +169,7 @@ def joint_rows(key, own, first, size, draw, alive, hazard, spent, rows):  # type
             word = np.int64(threefry(own[0], own[1], rollout, own_counters[number])[0] >> np.uint32(8))
             hazard[slot] += hazard_in_state(exposure, doses, theres, columns, number, word)
             reached = exp1_hazard(hazard[slot], nodes, times[slot])
-            if reached >= tolerance(threefry(key[0], key[1], rollout, robot[slot])[0]):
+            if reached >= exp1_threshold(threefry(key[0], key[1], rollout, robot[slot])[0]):
                 alive[slot] = False
                 group, member = slot // members, slot % members
                 rows[group, lane] -= np.int32(stride[group, member] * (last[slot] - places[number]))

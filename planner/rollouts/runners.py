@@ -202,7 +202,7 @@ class _Team:
 
         if not all(list(self.pool.map(defer_groups, self.runners, range(len(self.runners))))):
             return False
-        self.waiting.robots["bears"] = LEAST  # joined groups have rollouts of which threads know other bounds
+        self.waiting.robots["least_threshold"] = LEAST  # joined groups have rollouts of which threads know other bounds
         parts, tasks = join_groups(ids, self.waiting.marks, self.runners[0].largest_group)
         ends = np.cumsum([0, *map(len, parts)])
         cuts = np.searchsorted(ends, np.linspace(0, ends[-1], len(self.runners) + 1)).tolist()
@@ -253,9 +253,9 @@ def join_groups(ids: NDArray[np.uint32], marks: NDArray[np.void], most: int) -> 
     """
     left = marks["last"] > marks["first"]
     words = ("first", "last", "step", "robot", "verdict")
-    told = np.column_stack([np.flatnonzero(left), *(marks[left][word] for word in words)])
+    records = np.column_stack([np.flatnonzero(left), *(marks[left][word] for word in words)])
     sets: dict[tuple[int, ...], tuple[int, list[NDArray[np.uint32]]]] = {}
-    for row, first, last, *which in told.tolist():
+    for row, first, last, *which in records.tolist():
         sets.setdefault(tuple(which), (row, []))[1].append(ids[first:last])
     tasks, parts, begin = [], [], 0
     for row, alike in sorted(sets.values(), key=lambda one: -sum(map(len, one[1]))):
@@ -346,8 +346,8 @@ class Runner:
             ids = np.arange(at, min(at + most, stop), dtype=np.uint32)
             log.events[:1], self.work.begin[0] = 0, at
             if self._loop.is_uncertain:
-                self.work.left[: len(ids)] = self._loop.failure_model.tolerances(self._seed, ids, self._loop.robots)
-            if self._loop.movers is not None:
+                self.work.left[: len(ids)] = self._loop.failure_model.thresholds(self._seed, ids, self._loop.robots)
+            if self._loop.moving_threats is not None:
                 self.work.at[: len(ids)] = self._loop.first_places(self._seed, ids)
             tasks = self._tasks(ids)
             if not self.take(begin, tasks, ids, singles, log):
@@ -389,11 +389,11 @@ class Runner:
             cut: mass below which branches are left.
             most: histories, at most.
         """
-        how, nobody = self.how._replace(cut=cut, most=most), np.zeros(1, dtype=np.uint32)
+        how, no_ids = self.how._replace(cut=cut, most=most), np.zeros(1, dtype=np.uint32)
         self._make_room(self.room)
         while True:
             given = self._loop.first_state(self.room), groups_at(ONE, mass), self._state, NO_LOG, how
-            if self._call(*given, nobody, singles_of(self._loop, 0, 0)) != NONE:
+            if self._call(*given, no_ids, singles_of(self._loop, 0, 0)) != NONE:
                 return self.counts
             self._make_room(4 * self.room)
 

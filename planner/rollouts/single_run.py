@@ -101,8 +101,8 @@ class SingleRun:
             self.t = self.t._replace(bound=np.ones_like(self.t.bound), loses=loses)
         self.ids = np.array([rollout], dtype=np.uint32)
         if loop.is_uncertain:
-            self.w.left[:1] = loop.failure_model.tolerances(seed, self.ids, loop.robots)
-        if loop.movers is not None:
+            self.w.left[:1] = loop.failure_model.thresholds(seed, self.ids, loop.robots)
+        if loop.moving_threats is not None:
             self.w.at[:1] = loop.first_places(seed, self.ids)
         truth = 0 if loop.uncertainty is None else int(rows_met(loop.uncertainty, seed, rollout)[0])
         # Cells and areas take 32 bits: there is always room for more areas.
@@ -117,7 +117,7 @@ class SingleRun:
         self.new_events = self.log.events[:0]
         given = () if loop.state is None else loop.state.robots
         self.turned = {robot for robot, one in enumerate(given) if one.turned}
-        self._moved = self.raw.movers.copy()
+        self._moved = self.raw.moving.copy()
         self._steps: list[tuple[NDArray[np.int32], ...]] = []
 
     def _take(self, stack: State) -> None:
@@ -216,13 +216,13 @@ class SingleRun:
 
     def _count_moves(self) -> None:
         """Make `until` the moves left of robots that have stopped moving; of a moving robot it is a turn."""
-        if self._moved.tobytes() == self.raw.movers.tobytes():  # in most steps
+        if self._moved.tobytes() == self.raw.moving.tobytes():  # in most steps
             return
-        stopped = self._moved & ~(self.raw.movers | self.raw.waiting)
+        stopped = self._moved & ~(self.raw.moving | self.raw.waiting)
         for robot in range(self.loop.robots):
             if holds(stopped, robot):
                 self.raw.robots["until"][robot] -= self._turns(robot)
-        self._moved = self.raw.movers.copy()
+        self._moved = self.raw.moving.copy()
 
     def _make_room(self) -> None:
         """Grow the arrays so that they hold all areas that a step may make."""
@@ -256,7 +256,7 @@ class SingleRun:
 
     def moves_left(self, robot: int) -> int:
         """The number of moves that the robot can still make, at the end of a step."""
-        until, moved = int(self.raw.robots["until"][robot]), self.raw.movers | (self._moved & ~self.raw.waiting)
+        until, moved = int(self.raw.robots["until"][robot]), self.raw.moving | (self._moved & ~self.raw.waiting)
         return until - self._turns(robot) if holds(moved, robot) else until
 
     def _turns(self, robot: int) -> int:
@@ -479,7 +479,7 @@ def state_of(run: SingleRun, problem: Problem, cumulative_hazard: Sequence[int] 
             exposure=None if known is None else known[robot],
             home=None if home is None else int(home.starts[robot]),
             turned=robot in run.turned,
-            carried=cells[_members(run.raw.carried[robot], len(cells))] if delivers else NO_CELLS,
+            undelivered=cells[_members(run.raw.undelivered[robot], len(cells))] if delivers else NO_CELLS,
         )
         for robot in range(loop.robots)
     )
@@ -496,7 +496,7 @@ def state_of(run: SingleRun, problem: Problem, cumulative_hazard: Sequence[int] 
         tuple(areas),
         0 if over else quiet,
         Outcome(over - 1).word if over else None,
-        cells[_members(run.raw.carried[-1], len(cells))] if delivers else None,
+        cells[_members(run.raw.undelivered[-1], len(cells))] if delivers else None,
     )
 
 

@@ -136,7 +136,7 @@ def make_tables(
         **_for_searches(near, entry[: 0 if tabled or unknown else len(cells)], narrow),
         **visit_tables(kinds_of(problem.world, types, len(problem.starts)), cells),
         **failure_tables(failure_model, len(problem.starts)),
-        **moving_threat_tables(problem.world.movers, compact, len(cells)),
+        **moving_threat_tables(problem.world.moving_threats, compact, len(cells)),
         **_clocks(problem.settings.paces),
         **_radio(problem, cells),
         starts=compact[problem.starts],
@@ -165,7 +165,7 @@ def make_tables(
 def _are_small(problem: Problem, near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray[np.int32]) -> bool:
     """Whether costs fit into 32 bits on every map that the team may have."""
     if problem.learns and problem.unknown is not None:
-        most = problem.unknown.dearest
+        most = problem.unknown.highest
         return bool(problem.entry[most.of_cell[most.accessible]].sum() < 2**31)
     return bool(entry.sum() < 2**31) or most_cost(near, entry, starts) < 2**31
 
@@ -184,13 +184,13 @@ def _evidence(evidence: Evidence | None, cells: NDArray[np.int64]) -> dict[str, 
     """Fields of `Tables` for hazard estimates."""
     if evidence is None:
         return {}
-    lessons = [evidence.stop, evidence.more, evidence.less, 0, 0, 0, 0]
+    numbers = [evidence.stop, evidence.more, evidence.less, 0, 0, 0, 0]
     # Probabilities as bounds on 24 random bits: the comparison is of whole numbers on every platform.
     if (detector := evidence.detector) is not None:
         bounds = bounds_of(np.array([detector.detect, detector.false_alarm], dtype=np.float32)).tolist()
-        lessons[3:] = [detector.alarm, detector.silence, *bounds]
+        numbers[3:] = [detector.alarm, detector.silence, *bounds]
     rows = {"odds": evidence.prior, "survival": evidence.survival, "step": evidence.step}
-    return {name: row[cells] for name, row in rows.items()} | {"lessons": np.array(lessons)}
+    return {name: row[cells] for name, row in rows.items()} | {"evidence": np.array(numbers)}
 
 
 def most_cost(near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray[np.int32]) -> int:
@@ -211,23 +211,23 @@ def most_cost(near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray
     return most
 
 
-def moving_threat_tables(movers: MovingThreats | None, compact: NDArray[np.int32], beyond: int) -> dict[str, Any]:
+def moving_threat_tables(threats: MovingThreats | None, compact: NDArray[np.int32], beyond: int) -> dict[str, Any]:
     """Fields of `Tables` for moving threats.
 
     Args:
-        movers: of the map.
+        threats: of the map.
         compact: int32 `[N]`, index of each accessible cell.
         beyond: index for the other cells of routes.
     """
-    if movers is None:
+    if threats is None:
         return {}
-    ends = np.cumsum([len(one.route) for one in movers.members]).tolist()
+    ends = np.cumsum([len(one.route) for one in threats.members]).tolist()
     rows = [
         (chance_bound(one.stay), chance_bound(one.hit), end - len(one.route), len(one.route))
-        for one, end in zip(movers.members, ends, strict=True)
+        for one, end in zip(threats.members, ends, strict=True)
     ]
-    routes = compact[np.array([cell for one in movers.members for cell in one.route], dtype=np.int64)].astype(np.int64)
-    return {"movers": np.array(rows, dtype=np.int64), "routes": np.where(routes == NO_CELL, beyond, routes)}
+    routes = compact[np.array([cell for one in threats.members for cell in one.route], dtype=np.int64)].astype(np.int64)
+    return {"moving_threats": np.array(rows, dtype=np.int64), "routes": np.where(routes == NO_CELL, beyond, routes)}
 
 
 def kinds_of(world: World, types: str | tuple[str, ...] | None, robots: int) -> tuple[World, ...]:
@@ -400,10 +400,10 @@ def write_mission_state(mission: MissionState, state: State, tables: Tables, cel
     # A mission that knows what is delivered; cells closed since are no longer counted.
     if mission.delivered is not None:
         for row, kept in zip(
-            state.carried, (*(one.carried for one in mission.robots), mission.delivered), strict=False
+            state.undelivered, (*(one.undelivered for one in mission.robots), mission.delivered), strict=False
         ):
             fill(row, np.searchsorted(cells, np.intersect1d(kept, mission.visited)))
-        state.marks["delivered"] = np.bitwise_count(state.carried[-1:]).sum()
+        state.marks["delivered"] = np.bitwise_count(state.undelivered[-1:]).sum()
     left = np.bincount(state.home[:-1][state.home[:-1] & VISITED == 0] >> AREA_BITS, minlength=len(mission.areas))
     state.areas["left"][: len(left)] = left
     unassigned = [number for number, area in enumerate(mission.areas) if area.state == "unassigned"]
@@ -434,7 +434,7 @@ def write_mission_state(mission: MissionState, state: State, tables: Tables, cel
     for bits, members in (
         (state.open, unassigned),
         (state.lowest, np.array(unassigned, dtype=np.int64)[level == lowest]),
-        (state.movers, np.flatnonzero(moving)),
+        (state.moving, np.flatnonzero(moving)),
         (state.waiting, np.flatnonzero(waiting)),
     ):
         fill(bits, members)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.failure_model import threshold_key, tolerances
+from planner.failure_model import exp1_thresholds, threshold_key
 from planner.simulator.codes import Outcome
 from planner.simulator.failure_sampling import threefry
 from planner.simulator.jit import program
@@ -70,7 +70,7 @@ def classes_by_threshold(seed: int, start: int, count: int, robots: int) -> NDAr
     totals *= CLASSES_A_NAT
     classes = totals.astype(np.int64)
     near = np.flatnonzero(np.abs(totals - np.rint(totals)) < robots * NEAR)
-    classes[near] = tolerances(seed, start + near, robots).sum(axis=1) // WIDTH
+    classes[near] = exp1_thresholds(seed, start + near, robots).sum(axis=1) // WIDTH
     return classes
 
 

@@ -593,8 +593,8 @@ def share_between(t, s, w, log, helper, owner, helper_costs):
 @kernel
 def waits(t, s, robot):
     """Make a robot that moved wait for an area."""
-    if holds(s.movers, robot):
-        drop(s.movers, robot)
+    if holds(s.moving, robot):
+        drop(s.moving, robot)
         put(s.waiting, robot)
         # A waiting robot uses no turns, so `until` becomes the number of moves left.
         s.robots[robot].until -= own_turn(t, robot, s.marks.step)
@@ -605,5 +605,5 @@ def moves_on(t, s, robot):
     """Make a robot that waited move from the next step on: it has an area."""
     if holds(s.waiting, robot):
         drop(s.waiting, robot)
-        put(s.movers, robot)
+        put(s.moving, robot)
         s.robots[robot].until += own_turn(t, robot, s.marks.step)

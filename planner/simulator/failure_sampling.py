@@ -180,7 +180,7 @@ def threefry(key0, key1, counter0, counter1):
 
 
 @kernel
-def tolerance(word):
+def exp1_threshold(word):
     """The failure threshold of one random word (`planner.simulator.thresholds.threshold_of`)."""
     odd = (np.int64(word) << 1) + 1
     return log_units(odd, highest_bit(np.uint64(odd)), LOGARITHMS)
@@ -192,7 +192,7 @@ def threshold_or_bound(how, rollout, robot, exposure):
     word = threefry(how.key0, how.key1, rollout, np.uint32(robot))[0]
     # A lower bound without a logarithm, which nearly always suffices.
     surely = 2**32 - 1 - np.int64(word)  # 1 - x <= -ln x
-    return tolerance(word) if surely <= exposure else surely
+    return exp1_threshold(word) if surely <= exposure else surely
 
 
 @kernel
@@ -205,7 +205,7 @@ def least_word(exposure):
     # Floats only choose the start, integers decide: the same word on every platform.
     place = math.exp(-exposure * 2.0**-32)
     word = max(np.int64(math.ceil(place * (2.0**32 - 0.53) - 0.50001)), 0)
-    while tolerance(word) > exposure:
+    while exp1_threshold(word) > exposure:
         word += 1
     return word
 
@@ -257,7 +257,7 @@ def first_lost(t, s, c, w, how, ids, robot, cell, place):
     s.robots[robot].cumulative_hazard += t.exposure[place]
     cumulative_hazard = fresh(t, robot, s.robots[robot].cumulative_hazard)
     # Most visits end here, whatever the size of the group.
-    if cumulative_hazard < s.robots[robot].bears:
+    if cumulative_hazard < s.robots[robot].least_threshold:
         return last
     return split_by_threshold(s, w, how, ids, robot, cumulative_hazard)
 
@@ -268,13 +268,13 @@ def split_by_threshold(s, w, how, ids, robot, cumulative_hazard):
     first, last = s.marks.first, s.marks.last
     if last - first == 1:
         # A single rollout has one threshold, so its word is drawn once for each robot.
-        s.robots[robot].bears = tolerance(threefry(how.key0, how.key1, ids[first], np.uint32(robot))[0])
-        return first if cumulative_hazard >= s.robots[robot].bears else last
+        s.robots[robot].least_threshold = exp1_threshold(threefry(how.key0, how.key1, ids[first], np.uint32(robot))[0])
+        return first if cumulative_hazard >= s.robots[robot].least_threshold else last
     if last - first < GROUP:
-        lost_from, s.robots[robot].bears = split_few(ids, w.words, how, first, last, robot, cumulative_hazard)
+        lost_from, s.robots[robot].least_threshold = split_few(ids, w.words, how, first, last, robot, cumulative_hazard)
         return lost_from
     # Survivors have a threshold above the hazard; their exact minimum is not worth computing for a large group.
-    s.robots[robot].bears = cumulative_hazard + 1
+    s.robots[robot].least_threshold = cumulative_hazard + 1
     return part(ids, w.words, how, first, last, np.uint32(robot), np.uint32(least_word(cumulative_hazard)))
 
 

@@ -43,7 +43,7 @@ def sense_cells(t, s, w):
     """Update the map with the sensor range of live robots, from cells not looked from before.
 
     Returns:
-        (number of changed cells, which `w.news` lists; whether a cell was seen for the first time).
+        (number of changed cells, which `w.updated` lists; whether a cell was seen for the first time).
     """
     truth, count, fresh = t.truths[s.mind[TRUTH]], 0, False
     for robot in range(len(s.robots)):
@@ -63,11 +63,11 @@ def sense_cells(t, s, w):
 
 @kernel
 def believe(t, s, w, cell, level, count):
-    """Set a cell's level on the team's map; the number of changed cells by now, which `w.news` lists."""
+    """Set a cell's level on the team's map; the number of changed cells by now, which `w.updated` lists."""
     if s.level[cell] == level:
         return count
     change_level(t, s, cell, level)
-    w.news[count] = cell
+    w.updated[count] = cell
     return count + 1
 
 
@@ -89,7 +89,7 @@ def revise(t, s, w, log, count):
     # Order: paths to base and connected parts first, since both decide which cells stay in areas.
     note(log, s, NONE, SURPRISED_EVENT, NONE, count)
     for place in range(count):
-        w.gone[w.news[place]] = 1
+        w.gone[w.updated[place]] = 1
     w.minds[0] += 1
     s.mind[BELIEF] = w.minds[0]
     recall(t, s, w)
@@ -110,7 +110,7 @@ def revise(t, s, w, log, count):
 def clear_changes(w, count):
     """Clear the marks of changed cells after the repair."""
     for place in range(count):
-        w.gone[w.news[place]] = 0
+        w.gone[w.updated[place]] = 0
 
 
 @kernel
@@ -120,7 +120,7 @@ def head_home(t, s, robot):
     if moves_home(t, robot, here) > 0:
         s.robots[robot].next = t.onward[t.home_of[robot], here]
     else:
-        drop(s.movers, robot)
+        drop(s.moving, robot)
         s.robots[robot].doing = DONE
 
 
@@ -405,7 +405,7 @@ def visit_of(t, s, robot, cell):
 
 @rare_kernel
 def update_to_phase(t, s, w):
-    """Update the map at the last step before a phase; the number of changed cells, which `w.news` lists."""
+    """Update the map at the last step before a phase; the number of changed cells, which `w.updated` lists."""
     next_step, count = s.marks.step + 1, 0
     phase = phase_at(t, next_step)
     if s.marks.alive > 0 and t.phases[phase] == next_step:
@@ -445,10 +445,10 @@ def update_belief(t, s, cell):
 
 @rare_kernel
 def update_from_estimates(t, s, w, how, ids):
-    """Update the map by the estimates at robots and in detector range; the number of changed cells, in `w.news`."""
+    """Update the map by the estimates at robots and in detector range; the number of changed cells, in `w.updated`."""
     if s.marks.alive == 0:
         return 0
-    reads, count = t.lessons[DETECTS] > 0, 0
+    reads, count = t.evidence[DETECTS] > 0, 0
     for robot in range(len(s.robots)):
         if reads and s.robots[robot].doing != DEAD:
             read(t, s, how, ids[s.marks.first], robot)
@@ -471,8 +471,8 @@ def read(t, s, how, rollout, robot):
         cell = np.int64(t.in_view[place])
         there = own_word(t, how, rollout, cell) < t.there[cell] and not (t.spends and holds(s.spent, cell))
         word = threefry(np.uint32(key0), np.uint32(key1), np.uint32(robot), t.own_counter[cell])[0] >> np.uint32(8)
-        alarm = np.int64(word) < t.lessons[DETECTS if there else ERRS]
-        add(s, cell, t.lessons[ALARM] if alarm else -t.lessons[SILENCE])
+        alarm = np.int64(word) < t.evidence[DETECTS if there else ERRS]
+        add(s, cell, t.evidence[ALARM] if alarm else -t.evidence[SILENCE])
 
 
 @kernel
@@ -501,5 +501,5 @@ def class_of(t, s, cell):
         return np.int64(1)
     lost = t.odds[cell] - odds
     # There are finitely many classes; beyond the last one estimates saturate.
-    steps = min(lost // t.step[cell], t.lessons[LESS]) if lost >= 0 else -min(-lost // t.step[cell], t.lessons[MORE])
-    return 2 + t.lessons[MORE] + steps
+    steps = min(lost // t.step[cell], t.evidence[LESS]) if lost >= 0 else -min(-lost // t.step[cell], t.evidence[MORE])
+    return 2 + t.evidence[MORE] + steps

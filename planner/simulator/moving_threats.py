@@ -15,7 +15,7 @@ from .state import HITS, ROUTE, ROUTE_LENGTH, STAYS, holds
 @kernel
 def is_meeting(s):
     """Whether threats have moved in this step: the robots have had their turns."""
-    return s.marks.roamed > s.marks.step
+    return s.marks.threats_moved > s.marks.step
 
 
 @kernel
@@ -40,20 +40,20 @@ def moved(t, cell, number):
 @kernel
 def move_threats(t, s, w, how, ids, step):
     """Move the threats in all rollouts of the group."""
-    movers = len(t.movers)
+    count = len(t.moving_threats)
     stays, where = w.moves[0], w.moves[1]
     for place in range(s.marks.first, s.marks.last):
         at = w.at[ids[place] - w.begin[0]]
         # A separate loop over the draws, so that LLVM vectorises it.
-        for number in range(movers):
+        for number in range(count):
             # Addressed by (rollout, step, threat): positions do not depend on how the group has split.
-            counter = np.uint32((step + 1) * movers + number)
+            counter = np.uint32((step + 1) * count + number)
             stays[number], where[number] = threefry(how.move0, how.move1, ids[place], counter)
-        for number in range(movers):
-            length = t.movers[number, ROUTE_LENGTH]
+        for number in range(count):
+            length = t.moving_threats[number, ROUTE_LENGTH]
             if length > 0:
                 at[number] = at[number] + 1 if at[number] + 1 < length else 0
-            elif np.int64(stays[number] >> np.uint32(8)) >= t.movers[number, STAYS]:
+            elif np.int64(stays[number] >> np.uint32(8)) >= t.moving_threats[number, STAYS]:
                 at[number] = moved(t, np.int64(at[number]), np.int64(where[number] >> np.uint32(8)))
 
 
@@ -63,20 +63,20 @@ def first_met(t, s, w, how, rollout, step, after):
 
     `w.here` holds for each cell the lowest robot in it, plus 1.
     """
-    robots, movers, at = s.robots, len(t.movers), w.at[rollout - w.begin[0]]
+    robots, count, at = s.robots, len(t.moving_threats), w.at[rollout - w.begin[0]]
     least = np.int64(len(robots))
-    for number in range(movers):
+    for number in range(count):
         cell = np.int64(at[number])
-        if t.movers[number, ROUTE_LENGTH] > 0:
-            cell = np.int64(t.routes[t.movers[number, ROUTE] + cell])
+        if t.moving_threats[number, ROUTE_LENGTH] > 0:
+            cell = np.int64(t.routes[t.moving_threats[number, ROUTE] + cell])
         # Most threats meet no robot: one lookup per threat instead of a loop over the robots.
         if w.here[cell] == 0:
             continue
         for robot in range(max(w.here[cell] - 1, after + 1), least):
             if robots[robot].cell == cell and robots[robot].doing != DEAD:
-                counter = np.uint32((step * movers + number) * len(robots) + robot)
+                counter = np.uint32((step * count + number) * len(robots) + robot)
                 word = threefry(how.meet0, how.meet1, rollout, counter)[0] >> np.uint32(8)
-                if np.int64(word) < t.movers[number, HITS]:
+                if np.int64(word) < t.moving_threats[number, HITS]:
                     least = robot
                     break
     return least
@@ -104,7 +104,7 @@ def meet(t, s, w, how, ids):
     first, last = marks.first, marks.last
     if not is_meeting(s):
         move_threats(t, s, w, how, ids, marks.step)
-        marks.roamed = marks.step + 1
+        marks.threats_moved = marks.step + 1
         find_losses(t, s, w, how, ids, first, last, np.int64(-1))
     next_one = np.int64(len(s.robots))
     for place in range(first, last):

@@ -383,7 +383,7 @@ def has_to_wait(t, p, s, w, robot, area, cost):
 def could_go_on(t, p, s, w):
     """Whether a robot that can move can reach an unassigned area, in a mission that refuses some."""
     for robot in range(len(s.robots) if p.limited else 0):
-        able = (holds(s.movers, robot) and s.robots[robot].doing != RETURNING) or holds(s.waiting, robot)
+        able = (holds(s.moving, robot) and s.robots[robot].doing != RETURNING) or holds(s.waiting, robot)
         if able and first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(False))[0] != NONE:
             return True
     return False

@@ -236,7 +236,7 @@ def notices(t, p, s, robot):
 
 
 @kernel
-def is_news(s, robot, cell):
+def updates_map(s, robot, cell):
     """Whether the robot, entering the cell, visits a cell to do in another area than its own."""
     home = np.int64(s.home[cell])
     return home & VISITED == 0 and home >> AREA_BITS != s.robots[robot].area
@@ -245,7 +245,7 @@ def is_news(s, robot, cell):
 @kernel
 def goes_on(t, p, s, robot):
     """Whether the robot just moves on, as in most of its turns: `act` would decide nothing."""
-    return not t.returns and s.marks.step > 0 and holds(s.movers, robot) and not notices(t, p, s, robot)
+    return not t.returns and s.marks.step > 0 and holds(s.moving, robot) and not notices(t, p, s, robot)
 
 
 @kernel
@@ -262,7 +262,7 @@ def passes(t, s, w, robot, cell):
 def act(t, p, s, w, log, how, robot):
     """The robot's turn up to its move: MOVES, RESTS, GAINS (an area, no move), or NO_ROOM."""
     me, step, got = s.robots[robot], s.marks.step, RESTS
-    if not holds(s.movers, robot):
+    if not holds(s.moving, robot):
         return MOVES if drives_back(t, s, robot) else allocate_next(t, p, s, w, log, robot, np.bool_(True))
     if t.returns and me.doing == CHARGING:
         s.marks.progress = 1
@@ -275,14 +275,14 @@ def act(t, p, s, w, log, how, robot):
         s.marks.now = 1
         got = look_up(t, p, s, w, log, how, robot)
         s.marks.now = 0
-    if not holds(s.movers, robot):
+    if not holds(s.moving, robot):
         me.until += 1  # it did not move in this step
         return got
     if t.returns and step > 0:
         turn_kind = turns(t, s, robot, step) if has_area(s.robots, robot) else 0
         if turn_kind > 0 and (got == NO_ROOM or not start_return(t, s, w, log, robot, turn_kind > 1)):
             return NO_ROOM
-        if not holds(s.movers, robot) or me.doing == CHARGING:
+        if not holds(s.moving, robot) or me.doing == CHARGING:
             return got
     return NO_ROOM if got == NO_ROOM else MOVES
 

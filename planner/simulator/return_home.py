@@ -36,7 +36,7 @@ def stay(t, s, w, log, robot):
     if t.returns and moves_home(t, robot, np.int64(s.robots[robot].cell)) == 0:
         return start_return(t, s, w, log, robot, t.recharge > 0)
     area = np.int64(s.robots[robot].area) if has_area(s.robots, robot) else np.int64(NONE)
-    drop(s.movers, robot)
+    drop(s.moving, robot)
     drop(s.waiting, robot)
     s.robots[robot].doing = DONE
     note(log, s, robot, RANGE_ENDED_EVENT, area, s.robots[robot].cell)
@@ -58,16 +58,16 @@ def turns(t, s, robot, step):
     if can_go_on(t, s, robot, min(own, own_turn(t, robot, t.last_step) - now)):
         # Without a way to base it would never go on.
         away = t.deliver_every > 0 and moves_home(t, robot, np.int64(s.robots[robot].cell)) > 0
-        return 2 if away and load(s.carried[robot], s.carried[len(s.robots)]) >= t.deliver_every else 0
+        return 2 if away and load(s.undelivered[robot], s.undelivered[len(s.robots)]) >= t.deliver_every else 0
     return 2 if t.recharge > 0 and own + 1 < t.range[robot] and not can_go_on(t, s, robot, own) else 1
 
 
 @kernel
-def load(carried, delivered):
+def load(undelivered, delivered):
     """The number of cells of a set that are not in the other."""
     count = 0
-    for word in range(len(carried)):
-        left = carried[word] & ~delivered[word]
+    for word in range(len(undelivered)):
+        left = undelivered[word] & ~delivered[word]
         while left != 0:
             left &= left - ONE
             count += 1
@@ -78,11 +78,11 @@ def load(carried, delivered):
 def arrive(t, s, log, robot):
     """The robot is at base, for good or to go on, possibly recharged."""
     note(log, s, robot, HOME_EVENT, np.int64(NONE), np.int64(s.robots[robot].cell))
-    drop(s.movers, robot)
+    drop(s.moving, robot)
     s.robots[robot].doing = DONE
     if s.robots[robot].ready > 0 and s.marks.over == 0:
         s.robots[robot].doing, s.robots[robot].ready = CHARGING, s.marks.step + t.recharge
-        put(s.movers, robot)
+        put(s.moving, robot)
 
 
 @kernel
@@ -114,7 +114,7 @@ def start_return(t, s, w, log, robot, charges):
         base = np.int64(onward[base])
     note(log, s, robot, TURNED_HOME_EVENT, area if owns else np.int64(NONE), base)
     waited = holds(s.waiting, robot)
-    drop(s.movers, robot)
+    drop(s.moving, robot)
     drop(s.waiting, robot)
     me.doing, me.held = DONE, 0
     s.robots[robot].ready = FAR if charges else 0
@@ -124,8 +124,8 @@ def start_return(t, s, w, log, robot, charges):
         arrive(t, s, log, robot)
     elif base != cell:
         me.doing, me.next = RETURNING, onward[cell]
-        put(s.movers, robot)
-    if waited and holds(s.movers, robot):
+        put(s.moving, robot)
+    if waited and holds(s.moving, robot):
         s.robots[robot].until += own_turn(t, robot, s.marks.step)  # a turn again: it moves from the next step on
     return True
 
@@ -142,7 +142,7 @@ def move_to_base(t, s, log, robot):
     if arrives:
         arrive(t, s, log, robot)
         return
-    drop(s.movers, robot)
+    drop(s.moving, robot)
     me.doing = DONE
     note(log, s, robot, RANGE_ENDED_EVENT, np.int64(NONE), cell)
 
@@ -168,9 +168,9 @@ def start_returns(t, s, w, log, over):
         late = waits and way > 0 and left <= way
         doing = s.robots[robot].doing
         if doing == CHARGING and over != NONE:
-            drop(s.movers, robot)
+            drop(s.moving, robot)
             s.robots[robot].doing = DONE
-        turned = not waits and (not holds(s.movers, robot) or doing in (RETURNING, CHARGING))
+        turned = not waits and (not holds(s.moving, robot) or doing in (RETURNING, CHARGING))
         if not turned and (late or over != NONE) and not start_return(t, s, w, log, robot, False):
             return False
     return True
@@ -180,8 +180,8 @@ def start_returns(t, s, w, log, over):
 def is_away(s):
     """Whether some robot moves or is about to."""
     found = False
-    for word in range(len(s.movers)):
-        found = found or s.movers[word] != 0
+    for word in range(len(s.moving)):
+        found = found or s.moving[word] != 0
     return found
 
 
@@ -245,7 +245,7 @@ def slot_of(w, here, count):
     """The slot of the path from `here` through the first `count` cells of `w.listed`, or the free slot for it."""
     last, code = len(w.slots) - 1, mixed(here) ^ MIX
     for place in range(count):
-        # A sum does not depend on the order; equal hashes are told apart by comparing the cells (`is_of`).
+        # A sum does not depend on the order; equal hashes are distinguished by the cells (`is_of`).
         code += mixed(w.listed[place])
     slot = np.int64((code ^ code >> np.uint64(32)) & np.uint64(last))
     while w.slots[slot] > 0 and not is_of(w, w.ends[w.slots[slot] - 1], here, count):

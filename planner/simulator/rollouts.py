@@ -49,10 +49,10 @@ def level_of(stack, level):
     """One level of the stack."""
     return State(
         stack.home[level], stack.order[level], stack.areas[level], stack.robots[level], stack.marks[level],
-        stack.movers[level], stack.waiting[level], stack.open[level], stack.lowest[level],
+        stack.moving[level], stack.waiting[level], stack.open[level], stack.lowest[level],
         stack.passes[level], stack.legs[level], stack.spent[level], stack.entered[level], stack.heard[level],
         stack.near[level], stack.entry[level], stack.level[level], stack.known[level], stack.fate[level],
-        stack.mind[level], stack.odds[level], stack.carried[level],
+        stack.mind[level], stack.odds[level], stack.undelivered[level],
     )  # fmt: skip
 
 
@@ -75,7 +75,7 @@ def copy_state(t, of, to):
         # A cached path is in `Work`, which all levels of a thread share.
         if of.robots[robot].path == 0:
             copy_row(of.legs[robot], to.legs[robot], of.robots[robot].ahead)
-    copy_row(of.movers, to.movers, len(of.movers))
+    copy_row(of.moving, to.moving, len(of.moving))
     copy_row(of.waiting, to.waiting, len(of.waiting))
     copy_row(of.open, to.open, (areas + WORD - 1) // WORD)
     copy_row(of.lowest, to.lowest, (areas + WORD - 1) // WORD)
@@ -83,7 +83,7 @@ def copy_state(t, of, to):
     copy_row(of.passes, to.passes, len(of.passes))
     copy_row(of.entered, to.entered, len(of.entered))
     if t.returns:
-        copy_row(flat(of.carried), flat(to.carried), len(of.carried) * of.carried.shape[1])
+        copy_row(flat(of.undelivered), flat(to.undelivered), len(of.undelivered) * of.undelivered.shape[1])
     if t.learns:
         copy_mind(of, to)
 

@@ -10,25 +10,25 @@ from .codes import COVERING, FOLLOWING, NONE, TRAVELING
 from .failure_sampling import fresh
 from .jit import kernel
 from .paths import adjacent, go_on, next_leg, set_out_far, to_do_in
-from .replanning import is_news, notices
+from .replanning import notices, updates_map
 from .robot_types import own
 from .state import AREA_BITS, ONE, SURVIVED, TO_DO, VISITED, lowest_bit
 from .visits import count_new
 
 
 @kernel
-def only_mover(t, p, s, log):
+def only_moving_robot(t, p, s, log):
     """The only robot that can act until the next loss; NONE if several can, or none.
 
     Also NONE where the general loop has to see every step: several speeds or types, a trace, counted survived visits,
     moving or changing threats, online map updates, return to base.
     """
-    bits = s.movers[0]
+    bits = s.moving[0]
     # bits & (bits - 1) removes the lowest bit: 0 if it was the only one. One word of robots serves most teams.
     alone = bits != 0 and bits & (bits - ONE) == 0 and (s.marks.open == 0 or s.waiting[0] == 0)
     noted = len(log.frames) > 0 or len(s.passes) > 0 or t.moving or t.learns
     differ = t.paced or t.mixed or t.phased
-    if not alone or len(s.movers) != 1 or noted or t.returns or differ:
+    if not alone or len(s.moving) != 1 or noted or t.returns or differ:
         return np.int64(NONE)
     if p is not None and len(p.most) > 0 and s.waiting[0] != 0:  # a held robot asks again in every step
         return np.int64(NONE)
@@ -44,7 +44,7 @@ def survives_visit(t, s, how, robot, cell):
         return False
     # The cumulative hazard decides: below the lowest threshold of the group no word is drawn.
     cumulative_hazard = s.robots[robot].cumulative_hazard + t.exposure[own(t, robot, cell)]
-    if fresh(t, robot, cumulative_hazard) >= s.robots[robot].bears:
+    if fresh(t, robot, cumulative_hazard) >= s.robots[robot].least_threshold:
         return False
     s.robots[robot].cumulative_hazard = cumulative_hazard
     return True
@@ -124,7 +124,7 @@ def walk_watching(t, p, s, c, w, how, robot, step, size):
             if s.areas[home >> AREA_BITS].left == 1:
                 break
             s.areas[home >> AREA_BITS].left -= 1
-            s.marks.changes += is_news(s, robot, cell)
+            s.marks.changes += updates_map(s, robot, cell)
             home |= VISITED | SURVIVED
             count_new(s, c, step + 1, cell, size)
         step += 1

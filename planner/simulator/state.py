@@ -120,8 +120,8 @@ MOST_PASSES = 8
 (`analysis.evaluation.outputs.value`)."""
 MOST_COUNTED = 2**16 - 1
 """Survived visits of a cell that a state counts."""
-STAYS, HITS, ROUTE, ROUTE_LENGTH, MOVER_WORDS = range(5)
-"""Columns of `Tables.movers`: chances, of 2**24, that a walking threat stays and that it destroys a robot it meets; the
+STAYS, HITS, ROUTE, ROUTE_LENGTH, THREAT_WORDS = range(5)
+"""Columns of `Tables.moving_threats`: chances, of 2**24, that a walking threat stays and that it destroys a robot; the
 begin of its route in `routes`; cells of the route, 0: it walks at random."""
 
 
@@ -155,7 +155,7 @@ class Tables(NamedTuple):
             (`planner.simulator.map_belief`). Cells that may turn out to be reachable are accessible here, and `entry`
             is that of the prior map. All empty for a known map.
         odds, survival, step: int64 `[A]`, evidence on latent hazards (`planner.world.map_knowledge`), whose classes are
-            `truths`. lessons: int64 `[LESSONS]`, the other numbers of it. Else empty.
+            `truths`. evidence: int64 `[EVIDENCE]`, the other numbers of it. Else empty.
         phases: int64 `[P]`, first step of each phase of changing threats (`planner.simulator.map_belief`). Then bound,
             exposure and chance are `[P A]`, phase by phase, and truths holds the levels of each; else empty.
         bound: uint32 `[A]`, 0 where no visit destroys a robot in any rollout. own_counter, there, column: `[A]`, how an
@@ -166,7 +166,7 @@ class Tables(NamedTuple):
         chance: float64 `[A]`, p; a tree splits by it.
         nodes, times, begun: the failure model where it is not Exp(1) for all (`planner.failure_model`), else empty:
             `weibull_nodes`; int64 `[K]`, hazard multipliers; int64 `[K]`, the Exp(1) hazard of earlier use.
-        movers: int64 `[M, MOVER_WORDS]`, moving threats, usually none (`planner.simulator.moving_threats`).
+        moving_threats: int64 `[M, THREAT_WORDS]`, moving threats, usually none (`planner.simulator.moving_threats`).
         routes: int64, the cells of their routes, one route after the other.
         type_of: int64 `[K]`, own_level: int64 `[Y, L]`, as in `planner.mrac.home_paths.OwnMaps`; empty for one robot
             type. Otherwise the tables by cell `[A]` of costs, hops, ranks and hazards are `[Y A]`: type after type.
@@ -237,12 +237,12 @@ class Tables(NamedTuple):
     odds: NDArray = np.zeros(0, np.int64)
     survival: NDArray = np.zeros(0, np.int64)
     step: NDArray = np.zeros(0, np.int64)
-    lessons: NDArray = np.zeros(0, np.int64)
+    evidence: NDArray = np.zeros(0, np.int64)
     phases: NDArray = np.zeros(0, np.int64)
     nodes: NDArray = np.zeros(0, np.int64)
     times: NDArray = np.zeros(0, np.int64)
     begun: NDArray = np.zeros(0, np.int64)
-    movers: NDArray = np.zeros((0, MOVER_WORDS), np.int64)
+    moving_threats: NDArray = np.zeros((0, THREAT_WORDS), np.int64)
     routes: NDArray = np.zeros(0, np.int64)
     type_of: NDArray = np.zeros(0, np.int64)
     own_level: NDArray = np.zeros((0, 0), np.int64)
@@ -336,7 +336,7 @@ ROBOT = np.dtype(
         ("path", WHOLE),  # index of its cached coverage path, 0: none
         ("until", LONG),  # turn (`own_turn`) of the last move of a moving robot; moves left of a waiting one
         ("cumulative_hazard", LONG),
-        ("bears", LONG),  # no rollout of the group has a lower failure threshold
+        ("least_threshold", LONG),  # no rollout of the group has a lower failure threshold
         ("ready", LONG),  # step at which its recharge ends; FAR before it is at a base; 0: no recharge
     ],
     align=True,
@@ -373,7 +373,7 @@ GROUP = np.dtype(
             "arrivals",  # areas that became unassigned
             "covered",  # cells visited
             "unsurvived",  # visited cells in which no robot has survived yet
-            "roamed",  # steps in which threats have moved
+            "threats_moved",  # steps in which threats have moved
             "over",  # 0, or the outcome plus 1 once all robots return to base
             "at_home",  # robots at base at the end
             "delivered",  # cells delivered
@@ -383,8 +383,8 @@ GROUP = np.dtype(
     ],
     align=True,
 )
-AT_STOP, MORE, LESS, ALARM, SILENCE, DETECTS, ERRS, LESSONS = range(8)
-"""`Tables.lessons`: log odds after a loss; classes above and below the first; with a detector the log odds that an
+AT_STOP, MORE, LESS, ALARM, SILENCE, DETECTS, ERRS, EVIDENCE = range(8)
+"""`Tables.evidence`: log odds after a loss; classes above and below the first; with a detector the log odds that an
 alarm adds and silence subtracts, and the alarms of 2**24 readings at a hazard and elsewhere; else 0."""
 SEEN, LOOKED, OUT = 1, 2, 4
 TRUTH, BELIEF, MIND = range(3)
@@ -395,8 +395,8 @@ WORD = 64
 class State(
     namedtuple(
         "State",
-        "home order areas robots marks movers waiting open lowest passes legs spent entered heard near entry "
-        "level known fate mind odds carried",
+        "home order areas robots marks moving waiting open lowest passes legs spent entered heard near entry "
+        "level known fate mind odds undelivered",
     )
 ):
     """State of a group of rollouts; in the stack of states with the leading axis `L`.
@@ -406,7 +406,7 @@ class State(
         order: like home `[A]`, the cells area by area; completed areas are not kept in order.
         areas: AREA `[room]`. robots: ROBOT `[K]`. marks: GROUP.
         legs: like home `[K, A]`, the cells of legs that were searched for, last first; else empty.
-        movers, waiting: uint64 `[K / 64]`, bits of the robots that move, and of those that could take an area.
+        moving, waiting: uint64 `[K / 64]`, bits of the robots that move, and of those that could take an area.
         open: uint64 `[room / 64]`, bits of the unassigned areas; words beyond the last area are undefined.
         lowest: like open, those of level `marks.lowest`; no unassigned area has a lower one.
         spent: uint64 `[A / 64]`, bits of the cells that a loss made harmless, or empty.
@@ -418,7 +418,7 @@ class State(
         near, entry, level: like `Tables.near`, `entry` and `truths[m]`, as the team's map has them. known: uint8 `[A]`,
             flags: SEEN by a sensor, LOOKED from, OUT of every area and not visited. fate: like home `[room]`, scratch.
             mind: int64 `[MIND]`. All empty for a known map. odds: like `Tables.odds`, updated.
-        carried: uint64 `[K + 1, A / 64]`, bits of the cells that each robot has visited since it was last at a base;
+        undelivered: uint64 `[K + 1, A / 64]`, bits of the cells that each robot has visited since its last base;
             the last row: cells delivered. Without rows where robots do not return, or a resumed mission does not know.
     """
 
@@ -428,7 +428,7 @@ class Work(
         "Work",
         "seen stamp stack listed kept rows row_costs row_entries row_of source_of asked oldest heads tails last "
         "words left begin at met here moves rank everywhere distance queue heap_cost heap_cell to_go touched "
-        "paths slots ends remembered part gone news minds",
+        "paths slots ends remembered part gone updated minds",
     )
 ):
     """Scratch arrays of one thread.
@@ -452,7 +452,7 @@ class Work(
             Empty where no paths are cached. remembered: int64 `[1]`, the index of the next path.
         everywhere: bool `[A + 1]`, all cells, the last element excluded. rank, distance, queue, heap_cost, heap_cell,
             to_go, touched: `[A]` (distance with NONE at its end) or empty, as in `SafestPaths` and `far_search`.
-        part: int64 `[A + 1]`, gone: uint8 `[A]`, news: uint32 `[A]`: cells of a map update
+        part: int64 `[A + 1]`, gone: uint8 `[A]`, updated: uint32 `[A]`: cells of a map update
             (`planner.simulator.map_belief`); empty for a known map. minds: int64 `[2]`, beliefs so far, and the one
             that `rows` belongs to.
     """
@@ -565,17 +565,17 @@ def first_state(tables: Tables, room: int, passes: bool = False) -> State:
             ("areas", room, AREA),
             ("robots", team, ROBOT),
             ("marks", (), GROUP),
-            ("movers waiting", robots, np.uint64),
+            ("moving waiting", robots, np.uint64),
             ("open lowest", areas, np.uint64),
             ("passes", 2 * size if tables.scores else size * passes, np.uint16),
             ("legs", (team * (len(tables.entry) > 0), size), kind),
             ("spent", len(tables.spent), np.uint64),
-            ("entered", robots * (len(tables.movers) > 0), np.uint64),
+            ("entered", robots * (len(tables.moving_threats) > 0), np.uint64),
             ("heard", robots * (len(tables.reach) > 0), np.uint64),
             ("known", learned, np.uint8),
             ("fate", room * learning, kind),
             ("mind", MIND * learning, np.int64),
-            ("carried", ((team + 1) * returning, cells), np.uint64),
+            ("undelivered", ((team + 1) * returning, cells), np.uint64),
         ),
     )
     _begin(state, tables)
@@ -630,14 +630,14 @@ def _begin(state: State, tables: Tables) -> None:
         robots["doing"] = FOLLOWING
     else:
         robots["doing"][tables.owner[owned]], robots["area"][tables.owner[owned]] = STARTING, owned
-    robots["until"], robots["bears"], robots["sure"] = tables.range, LEAST, NONE
+    robots["until"], robots["least_threshold"], robots["sure"] = tables.range, LEAST, NONE
     levels = tables.level[unassigned]
     lowest = levels.min(initial=NO_LEVEL)
     words = {"areas": given, "open": len(unassigned), "lowest": lowest, "unfinished": given}
     for word, value in (words | {"alive": len(tables.starts)}).items():
         state.marks[word] = value
     for bits, members in (
-        (state.movers, slice(len(tables.starts))),
+        (state.moving, slice(len(tables.starts))),
         (state.open, unassigned),
         (state.lowest, unassigned[levels == lowest]),
     ):
@@ -655,7 +655,7 @@ def make_work(tables: Tables, most: int, remembers: bool, known: Work | None = N
     """
     kept = most if len(tables.exposure) and len(tables.own_counter) else 0
     words, left = np.zeros(most, dtype=np.uint32), np.zeros((kept, len(tables.starts)), dtype=np.int64)
-    at = np.zeros((most if len(tables.movers) else 0, len(tables.movers)), dtype=np.int64)
+    at = np.zeros((most if len(tables.moving_threats) else 0, len(tables.moving_threats)), dtype=np.int64)
     met = np.zeros(len(at), dtype=np.int64)
     if known is not None:
         return known._replace(words=words, left=left, at=at, met=met)
@@ -674,7 +674,7 @@ def make_work(tables: Tables, most: int, remembers: bool, known: Work | None = N
         ("source_of", rows, np.int32),
         ("asked", searched, np.uint8),
         ("heads tails", kinds, np.int64),
-        ("moves", (2, len(tables.movers)), np.uint32),
+        ("moves", (2, len(tables.moving_threats)), np.uint32),
         ("distance", apart, np.int64),
         ("queue", searched, np.uint32),
         ("row_of rank heap_cell", searched, np.int32),
@@ -683,7 +683,7 @@ def make_work(tables: Tables, most: int, remembers: bool, known: Work | None = N
         ("ends", min(remembered // 2**5, MOST_PATHS), np.int64),
         ("part", learned + learning, np.int64),
         ("gone", learned, np.uint8),
-        ("news", learned, np.uint32),
+        ("updated", learned, np.uint32),
     )
     for name in ("kept", "row_of", "source_of", "last", "rank", "distance"):
         scratch[name][:] = NONE

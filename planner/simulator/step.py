@@ -36,10 +36,10 @@ from .jit import kernel, rare_kernel
 from .map_belief import clear_changes, recall, revise, update_belief, update_map
 from .moving_threats import has_entered, is_meeting, meet
 from .next_area import could_go_on
-from .replanning import begin, goes_on, is_news, passes
+from .replanning import begin, goes_on, passes, updates_map
 from .return_home import count_at_base, end_range, is_away, move_to_base, start_returns, stay
 from .robot_types import came_back, on_turn, own_turn
-from .solo import only_mover, walk_alone
+from .solo import only_moving_robot, walk_alone
 from .state import ONE, TO_DO, WORD, lowest_bit
 from .visits import enter, is_complete, lose, survive
 
@@ -60,12 +60,12 @@ def advance(t, p, s, c, w, log, how, ids):
         begin(t, s, w)
     forget(t, p, s, w)
     if t.moving and is_meeting(s):  # the robots have acted in this step already
-        word, left, verdict = len(s.movers) - 1, np.uint64(0), ACTS if verdict == PASSED else verdict
+        word, left, verdict = len(s.moving) - 1, np.uint64(0), ACTS if verdict == PASSED else verdict
     while True:
         if verdict == ACTS:
             while left == 0:
                 word += 1
-                if word == len(s.movers):
+                if word == len(s.moving):
                     if t.moving:
                         verdict = encounter(t, s, c, w, how, ids)
                         if verdict != ACTS:
@@ -105,7 +105,7 @@ def advance(t, p, s, c, w, log, how, ids):
             cell = np.int64(robots[robot].next if step > 0 else robots[robot].cell)
             if p is not None:
                 # A visit in another robot's area makes that area a worse offer: cached offers are void.
-                group.changes += is_news(s, robot, cell)
+                group.changes += updates_map(s, robot, cell)
                 s.home[cell] = np.int64(s.home[cell]) & ~TO_DO
             if p is not None or step == 0 or cell != robots[robot].cell:
                 verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)
@@ -149,7 +149,7 @@ def forget(t, p, s, w):
 @kernel
 def acting(t, p, s, word, after):
     """Bits of the robots of a word, with index above `after`, that act in this step: they move or may take an area."""
-    robots = s.movers[word]
+    robots = s.moving[word]
     if s.marks.open > 0 or (p is not None and len(p.most) > 0):  # a held robot asks again in every step
         robots |= s.waiting[word]
     robots = on_turn(t, s.marks.step, word, robots)
@@ -212,7 +212,7 @@ def end_step(t, p, s, c, w, log, how):
     outcome = over_by(t, p, s, w, np.int64(end_of(t, s, how)))
     if outcome != NONE:
         return outcome
-    robot = only_mover(t, p, s, log)
+    robot = only_moving_robot(t, p, s, log)
     if robot != NONE:
         group.step = walk_alone(t, p, s, c, w, how, robot)
     group.step += 1
@@ -271,8 +271,8 @@ def awaits_update(t, s):
     if s.marks.step + 1 >= t.last_update:
         return False
     able = np.uint64(0)
-    for word in range(len(s.movers)):
-        able |= s.movers[word] | s.waiting[word]
+    for word in range(len(s.moving)):
+        able |= s.moving[word] | s.waiting[word]
     return able != 0
 
 

@@ -44,16 +44,16 @@ def count_pass(s, cell):
 @kernel
 def deliver(t, s, robot, cell):
     """Deliver the cells that the robot has visited, if the cell, which it has survived, is one of its bases."""
-    if t.returns and len(s.carried) > 0 and t.home_bases[t.home_of[robot], cell]:
-        unload(s, s.carried[robot], s.carried[len(s.robots)])
+    if t.returns and len(s.undelivered) > 0 and t.home_bases[t.home_of[robot], cell]:
+        unload(s, s.undelivered[robot], s.undelivered[len(s.robots)])
 
 
 @rare_kernel
-def unload(s, carried, delivered):
+def unload(s, undelivered, delivered):
     """Move cells from one set to another, counting those that it lacks."""
-    for word in range(len(carried)):
-        new = carried[word] & ~delivered[word]
-        carried[word] = np.uint64(0)
+    for word in range(len(undelivered)):
+        new = undelivered[word] & ~delivered[word]
+        undelivered[word] = np.uint64(0)
         delivered[word] |= new
         while new != 0:  # each cell is delivered once
             new &= new - ONE
@@ -154,8 +154,8 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
     # Where threats change, a robot may have been lost earlier in a cell that is safe by now.
     verdict = ACTS if safe and not t.phased else PASSED
     survives = verdict == ACTS and not t.moving
-    if t.returns and len(s.carried) > 0:
-        put(s.carried[robot], cell)
+    if t.returns and len(s.undelivered) > 0:
+        put(s.undelivered[robot], cell)
     if survives:
         count_pass(s, cell)
         deliver(t, s, robot, cell)
@@ -196,9 +196,9 @@ def lose(t, s, c, w, log, robot):
     if t.spends:
         put(s.spent, cell)
     if t.estimates:
-        s.odds[cell] = t.lessons[AT_STOP]
+        s.odds[cell] = t.evidence[AT_STOP]
     s.marks.alive -= 1
-    drop(s.movers, robot)
+    drop(s.moving, robot)
     drop(s.waiting, robot)
     s.robots[robot].doing = DEAD
     if t.mixed:

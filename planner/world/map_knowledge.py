@@ -121,9 +121,9 @@ class Knowledge:
         """bool `[H, W]`: cells that are free on the true map."""
         return ~np.isnan(self.truth)
 
-    def safe_without_sensor(self, told: NDArray[np.bool_]) -> bool:
-        """Whether robots without sensor are safe from collisions: the free cells `told` `[H, W]` are the true ones."""
-        return bool((self.free == told).all())
+    def safe_without_sensor(self, planned: NDArray[np.bool_]) -> bool:
+        """Whether robots without sensor cannot collide: the free cells `planned` `[H, W]` are the true ones."""
+        return bool((self.free == planned).all())
 
     @property
     def description(self) -> str:
@@ -366,17 +366,17 @@ def evidence_of(q: Chances, h: Chances, threat: Chances, consumed: bool, detecto
     made = Evidence(prior, _whole(passed), NEVER if consumed else ALWAYS, detector, threat.reshape(1, -1))
     steps = np.arange(-made.more, made.less + 1)
     # Other cells never change their class: no evidence can change their estimate.
-    doubtful = (there > 0) & (there < 1) & (hits > 0)
-    odds = np.where(doubtful, prior, 0) - steps[:, None] * np.where(made.step == ALWAYS, 0, made.step)
+    uncertain = (there > 0) & (there < 1) & (hits > 0)
+    odds = np.where(uncertain, prior, 0) - steps[:, None] * np.where(made.step == ALWAYS, 0, made.step)
     some = np.minimum(hits / (1 + np.exp(-odds / NAT)), np.nextafter(np.float32(1), np.float32(0)))
     # The prior class keeps the map's p exactly, without rounding of the log odds.
     some[steps == 0] = threat.ravel()
     own = np.where(np.isnan(threat.ravel()), np.nan, threat.ravel().astype(np.float64))
-    never = np.where((there > 0) & (doubtful | consumed), 0.0, own)
+    never = np.where((there > 0) & (uncertain | consumed), 0.0, own)
     # A certain loss is treated as an obstacle: p = 1 has no finite cost.
-    always = np.where(doubtful, np.where(hits == 1, np.nan, hits), own)
+    always = np.where(uncertain, np.where(hits == 1, np.nan, hits), own)
     reached = not consumed or (detector is not None and detector.alarm == ALWAYS)
-    rows = [never, always if reached else own, *np.where(doubtful, some, own)]
+    rows = [never, always if reached else own, *np.where(uncertain, some, own)]
     chances = np.where(np.isnan(own), np.nan, np.stack(rows)).astype(np.float32)
     return replace(made, chances=chances)
 

@@ -23,7 +23,7 @@ from planner.world.keys import CHANCE, PLACE, Key, first_of
 
 ANYWHERE = -1
 """Start of a moving threat whose first cell is drawn."""
-MOST_MOVERS = 1024
+MOST_MOVING = 1024
 BESIDE = [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
 
 
@@ -109,15 +109,15 @@ class MovingThreats:
         # The stationary distribution of a random walk is proportional to the number of neighbours.
         return np.where(free, np.maximum(around, 1), 0)
 
-    def chances(self, mover: MovingThreat) -> NDArray[np.float64]:
+    def chances(self, member: MovingThreat) -> NDArray[np.float64]:
         """float64 `[H, W]`: long-run share of steps that a moving threat is in each cell."""
-        if mover.patrols:
-            often = np.bincount(mover.route, minlength=self.own.size)
-            return often.reshape(self.own.shape) / len(mover.route)
+        if member.patrols:
+            often = np.bincount(member.route, minlength=self.own.size)
+            return often.reshape(self.own.shape) / len(member.route)
         weight = self.weight
-        if mover.start != ANYWHERE:
+        if member.start != ANYWHERE:
             parts = ndimage.label(weight)[0]
-            weight = np.where(parts == parts.flat[mover.start], weight, 0)
+            weight = np.where(parts == parts.flat[member.start], weight, 0)
         return weight / weight.sum()
 
     def joined(self, members: Iterable[MovingThreat], source: str) -> NDArray[np.float32]:
@@ -132,8 +132,8 @@ class MovingThreats:
         """
         # Independent threats: the probabilities to survive them multiply.
         passed = 1.0 - self.own.astype(np.float64)
-        for mover in members:
-            passed *= 1.0 - mover.hit * self.chances(mover)
+        for member in members:
+            passed *= 1.0 - member.hit * self.chances(member)
         threat = (1.0 - passed).astype(np.float32)
         if (threat >= 1).any():
             problem = f"h of the moving threats makes p 1 {first_of(threat >= 1)[1]}"
@@ -171,9 +171,9 @@ def moving_threats_in(arrays: Mapping[str, NDArray]) -> list[MovingThreat]:
     return [MovingThreat(hit, stay, start, tuple(route.tolist())) for hit, stay, start, route in each]
 
 
-def _check(mover: MovingThreat, name: str, threat: NDArray[np.float32], source: str) -> None:
+def _check(member: MovingThreat, name: str, threat: NDArray[np.float32], source: str) -> None:
     """Raise WorldError for a moving threat that cannot be on the map `threat` `[H, W]`."""
-    for chance, value in (("h", mover.hit), ("walk", mover.stay)):
+    for chance, value in (("h", member.hit), ("walk", member.stay)):
         CHANCE.check(f"{name}.{chance}", value, WorldError, source)
     free = ~np.isnan(threat)
 
@@ -183,15 +183,15 @@ def _check(mover: MovingThreat, name: str, threat: NDArray[np.float32], source: 
     def wrong(problem: str, expected: str) -> WorldError:
         return WorldError(f"`{name}`: {problem}", source=source, expected=expected)
 
-    for cell in mover.route or {mover.start} - {ANYWHERE}:
+    for cell in member.route or {member.start} - {ANYWHERE}:
         if not (0 <= cell < free.size and free.flat[cell]):
-            what = f"its route has {at(cell)}" if mover.patrols else f"it starts at {at(cell)}"
+            what = f"its route has {at(cell)}" if member.patrols else f"it starts at {at(cell)}"
             raise wrong(f"{what}, which is no free cell", "free cells")
-    for one, other in zip(mover.route, (*mover.route[1:], *mover.route[:1]), strict=True):
+    for one, other in zip(member.route, (*member.route[1:], *member.route[:1]), strict=True):
         if np.abs(np.subtract(divmod(one, threat.shape[1]), divmod(other, threat.shape[1]))).sum() != 1:
             raise wrong(f"its route goes from {at(one)} to {at(other)}", "a closed route of adjacent cells")
-    if mover.patrols and mover.start not in (ANYWHERE, *mover.route):
-        raise wrong(f"it starts at {at(mover.start)}, off its route", "a cell of the route")
+    if member.patrols and member.start not in (ANYWHERE, *member.route):
+        raise wrong(f"it starts at {at(member.start)}, off its route", "a cell of the route")
 
 
 AT, STAYS = "[row, col], whole numbers", "a chance to stay, 0 to 1"
@@ -229,12 +229,12 @@ def make_moving_threats(
             own = np.where(np.isnan(threat), np.float32(np.nan), np.float32(0))
         else:
             some = [one] if isinstance(one, MovingThreat) else _repeated(key, threat.shape)
-        named += [(name, mover) for mover in some]
-    if not 0 < len(named) <= MOST_MOVERS:
-        raise WorldError(counted(len(named), "moving threat"), source=source, expected=f"1 to {MOST_MOVERS}")
-    for name, mover in dict.fromkeys(named):
-        _check(mover, name, threat, source)
-    members = tuple(mover for _, mover in named)
+        named += [(name, member) for member in some]
+    if not 0 < len(named) <= MOST_MOVING:
+        raise WorldError(counted(len(named), "moving threat"), source=source, expected=f"1 to {MOST_MOVING}")
+    for name, member in dict.fromkeys(named):
+        _check(member, name, threat, source)
+    members = tuple(member for _, member in named)
     # Without free walkers both defaults give the same map.
     return MovingThreats(own, members, by_default and not all(one.patrols for one in members))
 
@@ -257,7 +257,7 @@ def _repeated(key: Key, shape: tuple[int, ...]) -> list[MovingThreat]:
     cells = keys["patrol"].items("a list of two cells [row, col] or more", 2) if "patrol" in keys else ()
     start = ANYWHERE if keys["start"].value == "anywhere" else _cell(keys["start"], shape)
     one = MovingThreat(keys["h"].number(CHANCE), stay, start, tuple(_cell(cell, shape) for cell in cells))
-    return [one] * keys["count"].number(whole(1, MOST_MOVERS))
+    return [one] * keys["count"].number(whole(1, MOST_MOVING))
 
 
 def _cell(key: Key, shape: tuple[int, ...]) -> int:
@@ -306,7 +306,7 @@ class Phases:
         return f"threats that change at step {steps}; {SAID[self.plan_on]}"
 
     @property
-    def told(self) -> bool:
+    def are_announced(self) -> bool:
         """Whether changes become known as they come."""
         return self.plan_on == "now"
 

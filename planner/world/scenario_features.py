@@ -81,7 +81,7 @@ def _sense(key: Key, more: tuple[str, ...]) -> SensorRange:
     return {name: one.value for name, one in key.mapping(("range", *more), optional=("sight",)).items()}
 
 
-def read_movers(keys: dict[str, Key], world: World, ground: Ground) -> World:
+def read_moving_threats(keys: dict[str, Key], world: World, ground: Ground) -> World:
     """The world of a scenario with `moving_threats: [{walk: s | patrol: [[r, c], ...], start, h, count}, ...]`.
 
     Args:
@@ -209,7 +209,7 @@ def _read_spread(key: Key, world: World, plan_on: float | None) -> World:
 UNCERTAIN = {
     "latent_hazard": read_hazard,
     "map_uncertainty": read_uncertain,
-    "moving_threats": read_movers,
+    "moving_threats": read_moving_threats,
     "phases": read_phases,
 }
 """Keys of uncertain or changing threats, of which a scenario may have one, and their readers."""

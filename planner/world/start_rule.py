@@ -140,11 +140,6 @@ def _breadth_first(free: NDArray[np.bool_], source: int, wanted: NDArray[np.bool
 # The map that robots plan on (SPEC sections 15, 16).
 
 
-def true_world(world: World) -> World:
-    """The true map as a known map; unchanged if the map is known, or if the true map is drawn."""
-    return replace(world, threat=world.met, knowledge=None)
-
-
 def as_planned(world: World, starts: ArrayLike) -> World:
     """The known map that robots plan on: the prior map with the cells in sensor range of the starts updated.
 
@@ -174,11 +169,11 @@ def as_before(world: World) -> World:
 
     Unchanged if they made the same world, or rejected it (p = 1).
     """
-    if world.movers is None or not world.movers.by_default:
+    if world.moving_threats is None or not world.moving_threats.by_default:
         return world
     try:
-        movers = replace(world.movers, by_default=False)
-        return replace(world, threat=movers.planned(JOINED, world.source), uncertainty=movers)
+        threats = replace(world.moving_threats, by_default=False)
+        return replace(world, threat=threats.planned(JOINED, world.source), uncertainty=threats)
     except WorldError:
         return world
 
@@ -201,10 +196,10 @@ def rules_of(world: World, settings: Settings, *, closed: bool = True) -> int:
         settings: of the plan.
         closed: for the closed loop.
     """
-    told = world.phases is not None and world.phases.told
+    announced = world.phases is not None and world.phases.are_announced
     mixed = settings.types is not None and not isinstance(settings.types, str) and len(set(settings.types)) > 1
-    by_default = world.movers is not None and world.movers.by_default
+    by_default = world.moving_threats is not None and world.moving_threats.by_default
     detects = world.learned_hazard is not None and world.learned_hazard.detector is not None
     # The nominal run is a closed loop too, and the open loop follows its paths.
     ends_otherwise = closed and (detects or settings.return_to is not None)
-    return NOW if told or mixed or by_default or ends_otherwise else BEFORE
+    return NOW if announced or mixed or by_default or ends_otherwise else BEFORE

@@ -203,8 +203,8 @@ class World:
     @property
     def met(self) -> NDArray[np.float32]:
         """float32 `[H, W]`, like `threat`: the true threats of the first step, whatever robots plan on."""
-        if self.movers is not None:
-            return self.movers.own
+        if self.moving_threats is not None:
+            return self.moving_threats.own
         if self.phases is not None:
             return self.phases.threats[0]
         return self.threat if self.knowledge is None else self.knowledge.truth
@@ -215,7 +215,7 @@ class World:
         return hashlib.sha256(np.ascontiguousarray(self.threat, dtype="<f4").tobytes()).hexdigest()
 
     @property
-    def movers(self) -> MovingThreats | None:
+    def moving_threats(self) -> MovingThreats | None:
         """Moving threats, or None."""
         return self.uncertainty if isinstance(self.uncertainty, MovingThreats) else None
 
@@ -256,7 +256,7 @@ class World:
     @property
     def randomness_sha256(self) -> str:
         """Hash of the true threats: map, uncertainty, movement, robot types, and the true map if it is not known."""
-        of = self.draws or self.movers or self.phases
+        of = self.draws or self.moving_threats or self.phases
         drawn = "" if of is None else f"?{of.sha256}"
         # Estimates change decisions, so they are part of the identity.
         drawn += self.uncertainty.taught if isinstance(self.uncertainty, Hazard) else ""
@@ -334,10 +334,10 @@ class World:
     def require_known_map(self, what: str, or_else: str = "") -> None:
         """Check that the map is known: robots neither update nor estimate it. Args and errors as in
         `require_certain_map`."""
-        told = self.phases if self.phases is not None and self.phases.told else None
+        announced = self.phases if self.phases is not None and self.phases.are_announced else None
         for found, requires, fix in (
             (self.learned_hazard, "does not support hazard estimates", "leave `learn` out"),
-            (told, "requires threats known in advance", "use `plan_on: first` or `worst`"),
+            (announced, "requires threats known in advance", "use `plan_on: first` or `worst`"),
             (self.knowledge, "requires a known map", "leave `true_map`, `prior_map` and `sensor_range` out"),
         ):
             self._refuse(what, found, requires, fix + or_else)
@@ -613,7 +613,7 @@ class World:
             raise WorldError(problem, source=self.source, fix=fix)
         return self._with_knowledge(self.threat, self.met, sensor_range)
 
-    def seeing(self, cells: float) -> World:
+    def with_range(self, cells: float) -> World:
         """A copy with another sensor range in cells; obstacles block the view as before. Raises WorldError."""
         sight = self.knowledge is not None and self.knowledge.sense.sight and cells < inf
         return self.with_sensor_range(Sense(cells, sight))

@@ -108,7 +108,7 @@ class Knowledge(Output):
         if len(asked) > MOST_RANGES:
             raise UsageError(f"{argument('sensor_range')} has {len(asked)} ranges", expected=f"{MOST_RANGES} at most")
         for far in asked:
-            world.seeing(far)
+            world.with_range(far)
 
     @classmethod
     def measure(cls, asked: Sequence[float], run: Run) -> Iterator[Self]:

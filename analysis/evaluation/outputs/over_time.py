@@ -145,7 +145,7 @@ def _stops(plan: Plan, robot: int, world: World, seed: int, ids: NDArray[np.uint
     steps = plan.robots[robot].entered
     # A robot is lost at the first entry where its cumulative hazard reaches its failure threshold.
     hazard = np.cumsum(world.exposures[0][plan.robots[robot].path[steps]])
-    thresholds = plan.failure_model.tolerances(seed, ids, robot + 1)[:, robot]
+    thresholds = plan.failure_model.thresholds(seed, ids, robot + 1)[:, robot]
     return np.append(steps, NEVER)[np.searchsorted(hazard, thresholds, side="left")]
 
 

@@ -288,8 +288,8 @@ class MapVariance(Output):
     of: int | None
     rollouts: int
     json_keys = """
-        maps of mean_of_means quantiles sd.maps=parts.between.mean sd.luck=parts.within.mean
-        sd_ci95.maps=parts.between.ci95 sd_ci95.luck=parts.within.ci95 rollouts
+        maps of mean_of_means quantiles sd.maps=parts.between.mean sd.random_numbers=parts.within.mean
+        sd_ci95.maps=parts.between.ci95 sd_ci95.random_numbers=parts.within.ci95 rollouts
     """
 
     @classmethod

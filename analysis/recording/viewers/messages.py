@@ -254,7 +254,7 @@ class MovingThreatDrawer:
         self._xy, self._z, self._side = world.to_xy(ways), THREAT_HEIGHT * world.cell_size, SIDE * world.cell_size
         self._cloud, self._points = _cloud(_THREAT_POINT, ways.shape[1])
         self._points["z"], self._points["alpha"] = self._z, 255
-        self._points["red"], self._points["green"], self._points["blue"] = topics.MOVER
+        self._points["red"], self._points["green"], self._points["blue"] = topics.MOVING_THREAT
 
     def messages(self, time: int, step: int) -> Iterator[tuple[str, Any]]:
         """(topic, message) of all moving threats."""
@@ -262,9 +262,9 @@ class MovingThreatDrawer:
             return
         scene, side = SceneUpdate(), self._side
         for number, (x, y) in enumerate(self._xy[step].tolist()):
-            entity = scene.entities.add(timestamp=stamp(time), frame_id=FRAME, id=f"mover {number}")
+            entity = scene.entities.add(timestamp=stamp(time), frame_id=FRAME, id=f"moving threat {number}")
             size = Vector3(x=side, y=side, z=side)
-            entity.cubes.add(pose=pose(x, y, self._z), size=size, color=colour(topics.MOVER))
+            entity.cubes.add(pose=pose(x, y, self._z), size=size, color=colour(topics.MOVING_THREAT))
         self._points["x"], self._points["y"] = self._xy[step].T
         self._cloud.data = self._points.tobytes()
         self._cloud.timestamp.FromNanoseconds(time)

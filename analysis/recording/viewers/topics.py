@@ -231,7 +231,7 @@ _HEX = ("4ea1ff", "ff9f1c", "2ecc96", "d678ff", "ffdd3c", "ff6ea0", "78e6f0", "b
 ROBOTS = np.array([tuple(bytes.fromhex(colour)) for colour in _HEX], dtype=np.uint8)
 """RGB of robot k is row k modulo the number of rows."""
 LOST = (255, 64, 64)
-MOVER = (226, 38, 77)
+MOVING_THREAT = (226, 38, 77)
 """A moving threat."""
 ALIVE = (255, 255, 255)
 """A live robot's block: its own colour would not stand out on the plates of its area."""
