@@ -29,7 +29,7 @@ from planner.errors import UsageError
 from planner.formatting import UNPACED, Pace, counted, in_percent, percent, share
 from planner.plan.plan import Plan, is_certain
 from planner.rollouts.closed_loop import MOST_TABLED
-from planner.rollouts.engine import choose_engine, rollouts_per_call, run_ranges
+from planner.rollouts.engine import rollouts_per_call, run_ranges
 from planner.rollouts.tables import AllPairs
 from planner.rollouts.threshold_classes import COLUMNS, sums_by_threshold
 from planner.simulator.codes import Outcome
@@ -90,10 +90,9 @@ class Side:
 
     @property
     def delivers(self) -> bool:
-        """Whether cells delivered are counted: in the closed loop, but not in JAX, by robots that return to base."""
+        """Whether cells delivered are counted: in the closed loop, by robots that return to base."""
         known = self.plan.state is None or self.plan.state.delivered is not None
-        counts = self.choices.loop == "closed" and choose_engine(self.choices.engine).name != "jax"
-        return self.plan.comes_home and known and counts
+        return self.plan.comes_home and known and self.choices.loop == "closed"
 
     def unit(self, figure: str) -> float:
         """Factor of a figure: cells become fractions of the accessible cells."""

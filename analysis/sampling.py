@@ -64,8 +64,6 @@ class RolloutChoices:
     metric: str = "visited"
 
     def __post_init__(self) -> None:
-        if self.metric == "delivered" and self.engine == "auto":  # JAX does not count cells delivered
-            object.__setattr__(self, "engine", "numba")
         for name in ("rollouts", "seed", "deadline"):
             object.__setattr__(self, name, as_whole(getattr(self, name)))
         self.check()
@@ -94,10 +92,9 @@ class RolloutChoices:
                 "deadline", self.deadline, optional=True
             )
         check_word("metric", self.metric, METRICS)
-        if self.metric == "delivered" and (self.loop == "open" or self.engine == "jax"):
-            other = argument("loop", "open") if self.loop == "open" else argument("engine", "jax")
-            fix = f"use {argument('loop', 'closed')} and {argument('engine', 'numba')}"
-            raise UsageError(f"{argument('metric', 'delivered')} with {other}", fix=fix)
+        if self.metric == "delivered" and self.loop == "open":
+            problem = f"{argument('metric', 'delivered')} with {argument('loop', 'open')}"
+            raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")
         if self.first_only and self.loop == "open":
             problem = f"{argument('first_only', True)} needs the closed loop"
             raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")

@@ -544,7 +544,7 @@ def closed_rollouts(book: Book, thresholds: ArrayLike) -> Closed:
     Raises UsageError for another shape or dtype, when it is traced.
     """
     left = jnp.asarray(thresholds)
-    team, room = left.shape[1:2], book.milestones.shape[0]
+    team, room = left.shape[1:2], book.met.shape[1]
     if left.ndim != 3 or left.shape[2] != 2 or left.dtype != jnp.uint32 or not 0 < team[0] <= room:
         raise UsageError(
             f"thresholds are {left.dtype}{list(left.shape)}",
@@ -595,7 +595,7 @@ def _closed_gradient(seed: Array, book: Book, p: Array, *, n: int) -> Gradient:
 
     def sums_of(group: Array) -> Any:
         ids = group + groups * jnp.arange(size)
-        left = threshold_pairs(_words_of(seed, ids.astype(jnp.uint32), book.milestones.shape[0]))
+        left = threshold_pairs(_words_of(seed, ids.astype(jnp.uint32), book.met.shape[1]))
         return scores(own, decisions, left, ids < n)
 
     count, covered, losses, score, weighed = jax.lax.map(sums_of, jnp.arange(groups))

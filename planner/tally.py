@@ -88,7 +88,7 @@ class RolloutResults:
         bisected, divided: int32 `[B]`, shared areas whose unvisited cells were one component and had to be bisected,
             and those that had several components already (SPEC section 5). Missing: zeros, as in the open loop.
         home: int32 `[B]`, robots alive at a base at the end (SPEC section 19). Missing: zeros.
-        delivered: int32 `[B]`, cells delivered (SPEC section 19). Missing: zeros, as from JAX.
+        delivered: int32 `[B]`, cells delivered (SPEC section 19). Missing: zeros.
         worth_covered, worth_found: int64 `[B]`, values of cells visited, and found (`ClosedLoop.weighing`). Missing:
             zeros.
     """

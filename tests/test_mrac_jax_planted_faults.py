@@ -76,7 +76,7 @@ INTERPRETED = {
         "    stale = to.open[0] & np.uint64(0xFF)\n"
         "    copy_row(of.open, to.open, (areas + WORD - 1) // WORD)\n    to.open[0] |= stale\n",
     ),
-    "jax snapshot after the loss": Fault(ENGINE, "searchsorted(keys, ", "searchsorted(keys[:-1], 1 + "),
+    "jax snapshot after the loss": Fault(ENGINE, 'moves, "right")', 'moves, "left")'),
     "jax component lost": Fault(BOOK, "if bisected else parts:", "if bisected else parts[:2]:"),
 }
 QUICK = "classical bits of another branch", "jax snapshot after the loss"
@@ -104,10 +104,10 @@ COMPILED = {
     "jax walks counted a step short": Fault(COUNTING, "(1, moves + 1):", "(1, max(moves, 2)):", seen_in="tallies"),
     "jax tie order": Fault(BOOK, "if target < 0 and cell < len(todo)", "if cell < len(todo)"),
     "jax tie order of areas": Fault(EVENTS, "jnp.argmin(costs, axis=1)", "G - 1 - jnp.argmin(costs[:, ::-1], axis=1)"),
-    "jax loss before the cell is marked": Fault(EVENTS, "(book.prefix, row_end)", "(book.prefix, row_end - dies)"),
+    "jax loss before the cell is marked": Fault(EVENTS, "walked, walked - dies)", "walked - dies, walked - dies)"),
     "jax robots that act later have moved": Fault(EVENTS, "& ~(late | due)[:, None]", "& (late | due)[:, None]"),
     "jax owner loses a turn": Fault(DECISIONS, "since = step - (owner > helper)", "since = step"),
-    "jax threshold of the whole run": Fault(EVENTS, "    left = less(left, at(book.before, which))\n", ""),
+    "jax threshold of the whole run": Fault(EVENTS, "less(left, lanes.left), ", "left, "),
 }
 FAULTS = INTERPRETED | COMPILED
 

@@ -470,7 +470,6 @@ OUTPUTS: dict[str, type[Output]] = {
 
 FINE_SECONDS = 0.2
 """Seconds for growing a tree to a precision at which rollouts add nothing."""
-IN_JAX = "cells delivered are not counted in JAX: use {}"
 TO_LOOK_AT, CONTENT = 8 * FIRST_LOOK, {"band", "advice", "marginal_risk"}
 """Rollouts when the tree is complete, and the outputs for which that number is sufficient."""
 
@@ -550,7 +549,6 @@ def evaluate(
         partial=partial,
         notes=(
             *cut_off(world, last.tally, plan),
-            *[IN_JAX.format(argument("engine", "numba"))] * (plan.comes_home and last.engine == "jax"),
             *(() if partial else too_few(last, rolled)),
         ),
         certain=certain,

@@ -110,27 +110,21 @@ def _need(here, cells, ends, home, rows):  # type: ignore[no-untyped-def]
 @compiled
 def _reach(cells, cost, hop, target, steps):  # type: ignore[no-untyped-def]
     """For a piece: its cheapest cell to reach from each cell, and the moves of the path to it; NONE: unreachable."""
-    size = len(cost)
-    least = np.full(size, 2**62, dtype=np.int64)
-    target[:size] = -1
+    least = np.full(len(cost), 2**62, dtype=np.int64)
     for cell in cells:  # entering any of them costs the same, so the costs the other way round rank alike
-        for here in range(size):
+        for here in range(len(cost)):
             if 0 <= cost[cell, here] < least[here]:
-                least[here], target[here] = cost[cell, here], cell
-    steps[:size] = -1
-    way = np.empty(size, dtype=np.int64)
-    for first in range(size):
-        here, count = first, 0
-        while target[here] >= 0 and steps[here] < 0:
-            if here == target[here]:
-                steps[here] = 0
-                break
-            way[count] = here
-            count += 1
-            # All cells of a path go to its end: another cell of the piece at the same cost has a higher index.
-            here = hop[target[here], here]
-        for place in range(count - 1, -1, -1):
-            steps[way[place]] = steps[hop[target[way[place]], way[place]]] + 1
+                least[here], target[here], steps[here] = cost[cell, here], cell, 0
+    for first in range(len(cost)):
+        # Along the path up to its end or a cell that is known, and once more. All its cells go to its end: another cell
+        # of the piece at the same cost has a higher index.
+        here, moves = first, 0
+        while steps[here] == 0 and here != target[first]:
+            here, moves = hop[target[first], here], moves + 1
+        last, moves, here = here, moves + steps[here], first
+        while here != last:
+            steps[here] = moves
+            here, moves = hop[target[first], here], moves - 1
 
 
 class Grown:
@@ -163,7 +157,8 @@ class HostBook:
             `[P, A']`, from each cell, its level on top, NEVER if it is out of reach; target: int32, to which of its
             cells; steps: int32, moves there.
         need: int32 `[R, S]`, by set of bases, moves from the walk's begin on without which a robot returns to base
-            before that move; no column where none does.
+            before that move; no column where none does. brought: int32 `[R, S]`, the last move so far that enters a
+            base, 0: none.
         buckets: uint32 `[H, 2 * BUCKET]`.
     """
 
@@ -179,7 +174,7 @@ class HostBook:
         self.sums, self.at = Grown(room, (), np.int64), Grown(room, (), np.int32)
         self.bits = Grown(2**10, (self.words,), np.uint32)
         self.cost, self.target, self.steps = (Grown(2**10, (wide,), np.int32) for _ in range(3))
-        self.need = Grown(room, (len(t.home_steps),), np.int32)
+        self.need, self.brought = (Grown(room, (len(t.home_steps),), np.int32) for _ in range(2))
         self.longest = 1
         self.buckets = np.zeros((4 * ENTRIES, 2 * BUCKET), dtype=np.uint32)
         self.most_visits = 1
@@ -274,37 +269,31 @@ class HostBook:
 
         waits: bool `[M]`, moves that stay and enter no cell; None: none. ends: ends of legs; None: the last move.
         """
-        entered = cells if waits is None else np.where(waits, NONE, cells)
+        t, entered = self.loop.tables, cells if waits is None else np.where(waits, NONE, cells)
         rows = np.zeros((len(entered) + 1, self.words), dtype=np.uint32)
         move = np.flatnonzero(entered >= 0)
         rows[move + 1, entered[move] >> 5] = np.uint32(1) << (entered[move] & 31).astype(np.uint32)
         base = self.prefix.add(np.bitwise_or.accumulate(rows))
         self.cell_at.add(np.append(here, entered))
         self.longest = max(self.longest, len(cells))
-        need = np.zeros((len(cells) + 1, len(self.loop.tables.home_steps)), dtype=np.int32)
-        for bases, home in enumerate(self.loop.tables.home_steps):
+        need, brought = (np.zeros((len(rows), len(t.home_steps)), dtype=np.int32) for _ in range(2))
+        for bases, home in enumerate(t.home_steps):
             _need(here, cells, np.arange(len(cells)) == len(cells) - 1 if ends is None else ends, home, need[:, bases])
+            brought[move + 1, bases] = (move + 1) * t.home_bases[bases, entered[move]]
         self.need.add(need)
+        self.brought.add(np.maximum.accumulate(brought))
         end = int(cells[-1]) if len(cells) else here
-        moves = np.flatnonzero((entered >= 0) & (self.loop.tables.bound[cells] > 0))
+        moves = np.flatnonzero((entered >= 0) & (t.bound[cells] > 0))
         self.most_visits = max(self.most_visits, len(moves))
-        first = self.add_visits(moves + 1, self.loop.tables.exposure[entered[moves]])
+        self.at.add(np.append(0, moves + 1))
+        first = self.sums.add(np.append(0, np.cumsum(t.exposure[entered[moves]]))) + 1
         return self._add_entry(base, len(entered), end, first, len(moves))
-
-    def add_visits(self, moves: NDArray[np.int64], exposure: NDArray[np.int64]) -> int:
-        """Append the dangerous visits of a walk; returns the index of the first."""
-        self.at.add(np.append(0, moves))
-        return self.sums.add(np.append(0, np.cumsum(exposure))) + 1
 
     def _add_entry(self, *columns: int) -> int:
         self._check_room()
         self.sets.add(np.zeros((1, self.words), dtype=np.uint32))
         self.salts.add(np.zeros(1, dtype=np.uint32))
         return self.entries.add(np.array([[*columns, *[0] * (COLUMNS - len(columns))]]))
-
-    def add_milestones(self, length: int, marks: NDArray[np.int64], exposure: NDArray[np.int64]) -> int:
-        """An entry that finds the first of the rising marks that a threshold reaches; `length` if none."""
-        return self._add_entry(0, length, 0, self.add_visits(marks, exposure), len(marks))
 
     def _check_room(self) -> None:
         size = sum(table.rows.nbytes for table in self.tables.values())

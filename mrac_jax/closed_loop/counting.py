@@ -13,9 +13,23 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.closed_loop.book import BASE, COUNT, FIRST, LENGTH, NOWHERE, HostBook
+from mrac_jax.closed_loop.book import BASE, COUNT, FIRST, LENGTH, HostBook
 from mrac_jax.closed_loop.events import begin, ended, next_event
-from mrac_jax.closed_loop.lanes import DONE, FINAL, OFF, RUN, STOPPED, Book, Ended, Lanes, Log, at, write
+from mrac_jax.closed_loop.lanes import (
+    DELIVERED,
+    DONE,
+    FINAL,
+    HOME,
+    OFF,
+    RUN,
+    STOPPED,
+    Book,
+    Ended,
+    Lanes,
+    Log,
+    at,
+    write,
+)
 from planner.rollouts.loop import ClosedLoop, known_cells
 from planner.simulator.jit import threaded
 from planner.simulator.state import MOST_PASSES, make_counts
@@ -53,28 +67,28 @@ def nothing_begun(loop: ClosedLoop, snapshots: int) -> Begun:
 
 
 @threaded
-def _sort(rows, begins, order):  # type: ignore[no-untyped-def]
-    """Group the log's rows by rollout: `order[begins[n]:begins[n + 1]]` are those of rollout n."""
+def _sort(rows, size):  # type: ignore[no-untyped-def]
+    """Group the log's rows by rollout: `order[begins[n]:begins[n + 1]]` are those of rollout n < size."""
+    begins, order = np.zeros(size + 2, np.int64), np.empty(len(rows), np.int64)
     for row in range(len(rows)):
-        begins[(rows[row, 0] >> np.uint32(10)) + np.uint32(1)] += 1
-    for number in range(1, len(begins)):
-        begins[number] += begins[number - 1]
-    filled = begins.copy()
-    for row in range(len(rows)):
-        number = rows[row, 0] >> np.uint32(10)
-        order[filled[number]] = row
-        filled[number] += 1
+        begins[(rows[row, 0] >> np.uint32(10)) + np.uint32(2)] += 1
+    begins[:] = np.cumsum(begins)
+    for row in range(len(rows)):  # moves each begin to its end, the next one's begin
+        number = (rows[row, 0] >> np.uint32(10)) + np.uint32(1)
+        order[begins[number]] = row
+        begins[number] += 1
+    return begins, order
 
 
 @threaded
-def _follow(rows, base, cell_at, flags, first, safe, visits, stops, passes):  # type: ignore[no-untyped-def]
+def _follow(rows, entries, cell_at, flags, first, safe, visits, stops, passes):  # type: ignore[no-untyped-def]
     """Enter the cells of a rollout's walks; rows with one of the `flags` are left out."""
     for row in range(len(rows)):
         last = rows[row, 3]
         if last & flags:
             continue
         moves, stopped = np.int64(last & np.uint32(MOVES)), last & np.uint32(STOPPED) > 0
-        since, begin = np.int64(np.int32(rows[row, 2])), np.int64(base[rows[row, 1]])
+        since, begin = np.int64(np.int32(rows[row, 2])), np.int64(entries[rows[row, 1], BASE])
         for move in range(1, moves + 1):
             cell = cell_at[begin + move]
             if cell < 0:
@@ -92,7 +106,7 @@ def _follow(rows, base, cell_at, flags, first, safe, visits, stops, passes):  # 
 
 @threaded
 def _count(  # type: ignore[no-untyped-def]
-    rows, begins, order, which, base, cell_at, start, safe_start, passes_start, visits, stops, covered, unsurvived,
+    rows, begins, order, which, entries, cell_at, start, safe_start, passes_start, visits, stops, covered, unsurvived,
     new, late, by_passes, weights, found, value_sums,
 ):  # fmt: skip
     """Count rollouts, of which `which[n]` began at that snapshot; `passes` and `value_sums` where they have rows."""
@@ -101,15 +115,16 @@ def _count(  # type: ignore[no-untyped-def]
     for number in range(len(which)):
         first[:], safe[:], passes[:] = start[which[number]], safe_start[which[number]], passes_start[which[number]]
         mine = rows[order[begins[number] : begins[number + 1]]]
-        _follow(mine, base, cell_at, np.uint32(0), first, safe, visits, stops, passes)
+        _follow(mine, entries, cell_at, np.uint32(0), first, safe, visits, stops, passes)
         for cell in range(size):
             if 0 <= first[cell] < NO_STEP:
                 covered[cell] += 1
+                unsurvived[cell] += 1
                 new[first[cell]] += 1
                 late[first[cell]] -= 1
             if 0 <= safe[cell] < NO_STEP:
+                unsurvived[cell] -= 1
                 late[safe[cell]] += 1
-            unsurvived[cell] += (first[cell] < NO_STEP) - (safe[cell] < NO_STEP)
         if len(by_passes):
             for cell in range(size):  # with at least so many
                 for many in range(passes[cell]):
@@ -125,50 +140,40 @@ class Counting:
 
     def __init__(self, loop: ClosedLoop, begun: Begun) -> None:
         size, self.loop, self.begun, self.weighs = len(loop.cells), loop, begun, loop.weights is not None
-        self.counts = make_counts(size, size, loop.robots, loop.max_steps, passes=self.weighs, home=loop.comes_home)
+        self.counts = make_counts(
+            size, size, loop.robots, loop.max_steps, self.weighs, loop.comes_home, delivers=loop.delivers
+        )
 
     def add(self, book: HostBook, rows: NDArray[np.uint32], which: NDArray[np.int32]) -> NDArray[np.int64]:
         """Count rollouts of a batch, which began at these snapshots `[n]`; the sums of their weights `[n, 2 or 0]`."""
-        c, loop = self.counts, self.loop
-        begins, order = np.zeros(len(which) + 1, np.int64), np.empty(len(rows), np.int64)
-        _sort(rows, begins, order)
-        none = np.zeros(0, np.int64)
-        weights = loop.weights
+        c, begun, weights, none = self.counts, self.begun, self.loop.weights, np.zeros(0, np.int64)
         covered, found = (none, none[:, None]) if weights is None else (weights.covered, weights.found)
         value_sums = np.zeros((len(which), 2 * self.weighs), np.int64)
-        unsurvived = np.zeros(len(loop.cells), np.int64)
+        begins, order = _sort(rows, len(which))
         _count(
-            rows, begins, order, which, book.entries.rows[:, BASE].copy(), book.cell_at.rows, self.begun.first,
-            self.begun.safe, self.begun.passes, c.visits, c.stops, c.covered, unsurvived, c.new, c.late, c.passes,
-            covered, found, value_sums,
+            rows, begins, order, which, book.entries.rows, book.cell_at.rows, begun.first, begun.safe, begun.passes,
+            c.visits, c.stops, c.covered, c.unsurvived, c.new, c.late, c.passes, covered, found, value_sums,
         )  # fmt: skip
-        visited, survived = known_cells(loop)
-        np.subtract.at(unsurvived, np.searchsorted(loop.cells, visited), len(which))
-        np.add.at(unsurvived, np.searchsorted(loop.cells, survived), len(which))
-        c.unsurvived[:] += unsurvived
-        c.visits[:] += np.bincount(which, minlength=len(self.begun.visits)) @ self.begun.visits
+        c.visits[:] += np.bincount(which, minlength=len(begun.visits)) @ begun.visits
         return value_sums
 
     def add_numbers(self, numbers: NDArray[np.int32]) -> None:
         """Count the results of rollouts, int32 `[n, NUMBERS]`."""
         c = self.counts
-        for column, counted in enumerate((c.visited, c.survived, c.time, c.alive, c.outcomes)):
-            counted[:] += np.bincount(numbers[:, column], minlength=len(counted))
-        if len(c.home):
-            c.home[:] += np.bincount(numbers[:, -1], minlength=len(c.home))
+        counted = dict(enumerate((c.visited, c.survived, c.time, c.alive, c.outcomes)))
+        counted |= {HOME: c.home, DELIVERED: c.delivered}
+        for column, counts in counted.items():
+            if len(counts):  # else this mission does not count them
+                counts[:] += np.bincount(numbers[:, column], minlength=len(counts))
 
 
 def follow_nominal(book: HostBook, begun: Begun, rows: NDArray[np.uint32]) -> None:
     """Write the logs of lanes into `begun`; lane m is halted at snapshot m."""
-    begins, order = np.zeros(len(begun.first) + 1, np.int64), np.empty(len(rows), np.int64)
-    _sort(rows, begins, order)
-    stops, base = np.zeros(begun.first.shape[1], np.int64), book.entries.rows[:, BASE].copy()
-    for lane in range(len(begun.first)):
+    begins, order = _sort(rows, len(begun.first))
+    none_lost = np.zeros(begun.first.shape[1], np.int64)
+    for lane, (first, safe, visits, passes) in enumerate(zip(*begun, strict=True)):
         mine = rows[order[begins[lane] : begins[lane + 1]]]
-        _follow(
-            mine, base, book.cell_at.rows, np.uint32(FINAL), begun.first[lane], begun.safe[lane], begun.visits[lane],
-            stops, begun.passes[lane],
-        )  # fmt: skip
+        _follow(mine, book.entries.rows, book.cell_at.rows, np.uint32(FINAL), first, safe, visits, none_lost, passes)
 
 
 # On the device: the gradient of expected coverage (`mrac_jax.functional.closed_gradient`).
@@ -190,9 +195,9 @@ def with_hazards(book: Book, p: jax.Array) -> tuple[Book, jax.Array]:
         total = total - total[base]
         sums = jnp.stack([total >> 32, total & (2**32 - 1)], axis=-1).astype(jnp.uint32)
     entries = book.entries.at[:, FIRST].set(book.entries[:, BASE] + 1).at[:, COUNT].set(moves)
-    first = jnp.full_like(book.milestones, NOWHERE)  # a walk of no moves: the first snapshot
+    first, met = jax.tree.map(lambda of: of[:1], (book.first, book.met))
     halvings = len(row).bit_length()
-    return replace(book, entries=entries, sums=sums, at=row - base, milestones=first, halvings=halvings), cell
+    return replace(book, entries=entries, sums=sums, at=row - base, first=first, met=met, halvings=halvings), cell
 
 
 def roll_out(book: Book, left: jax.Array, asked: jax.Array, log: Log | None) -> tuple[Lanes, Ended, Log | None]:
@@ -216,7 +221,7 @@ def scores(p: jax.Array, decisions: tuple[Book, jax.Array], left: jax.Array, ask
     """
     book, cell = decisions
     # An area is travelled to and covered at most once; robots that recharge return a few times more.
-    room = len(left) * 2 * (book.first.slots.shape[1] + len(book.milestones))
+    room = len(left) * 2 * (book.first.slots.shape[1] + book.met.shape[1])
     lanes, results, log = roll_out(book, left, asked, Log(jnp.zeros((room, 4), jnp.uint32), jnp.int32(0)))
     assert log is not None
     counts = (lanes.mode == DONE) & (log.used <= room)

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 
 from mrac_jax.closed_loop import lanes as ln
-from mrac_jax.closed_loop.book import HALVE, NEVER, PARTS, PIECE
-from mrac_jax.closed_loop.lanes import Book, Lanes, Log, at, entered, hold, look_up, one_cell, pick, walk
+from mrac_jax.closed_loop.book import HALVE, LENGTH, NEVER, PARTS, PIECE
+from mrac_jax.closed_loop.lanes import Book, Lanes, at, entered, hold, look_up, one_cell, pick, walk
 from planner.simulator.codes import Outcome
 
 # Robots that return to base (SPEC section 19): the turning point, reachable pieces, and the end of a mission.
@@ -22,30 +22,41 @@ def moves_home(book: Book, robot: jax.Array, cell: jax.Array) -> jax.Array:
     return at(book.homes.steps.reshape(-1), place)
 
 
-def turning(
-    book: Book, robot: jax.Array, entry: jax.Array, since: jax.Array, until: jax.Array, moves: jax.Array,
-    fate: jax.Array, waits: bool = False,
-) -> tuple[jax.Array, jax.Array]:  # fmt: skip
-    """(moves, fate) of walks `[S]` of robots with an area, which return to base before it gets out of range.
+def of_bases(table: jax.Array, book: Book, row: jax.Array, robot: jax.Array) -> jax.Array:
+    """Values of a table `[R, S]` at rows, for the robots' bases."""
+    assert book.homes is not None
+    return at(table.reshape(-1), row * table.shape[1] + at(book.homes.of, robot))
 
-    `waits`: one of no moves takes a turn.
+
+def depart(
+    book: Book, robot: jax.Array, doing: jax.Array, entry: jax.Array, left: jax.Array, since: jax.Array,
+    until: jax.Array, waits: bool = False,
+) -> tuple[jax.Array, ...]:  # fmt: skip
+    """(first row, moves, fate, last cell) of walks `[S]` that begin with thresholds `[S, 2]`.
+
+    Args:
+        doing: with an area of its own, a robot returns to base before it gets out of range.
+        since: the step before the first move. until: that of the last move of the robot's range.
+        waits: a walk of no moves takes a turn.
     """
+    budget = until - since + ((doing == ln.RETURN) | (doing == ln.RECALL))
+    base, moves, fate, end = walk(book, entry, left, budget)
+    if waits:  # that turn may be the last of its range
+        fate = jnp.where((moves == 0) & (budget <= 1), ln.ENDS, fate)
     if book.homes is None:
-        return moves, fate
-    homes, sets = book.homes, book.need.shape[1]
-    within = jnp.minimum(until, homes.last) - since
-    row, length = at(book.entries, entry)[:, :2].T
-    table, column = book.need.reshape(-1), at(homes.of, robot)
+        return base, moves, fate, end
+    within, length = jnp.minimum(until, book.homes.last) - since, at(book.entries, entry)[:, LENGTH]
 
     def is_late(move: jax.Array) -> jax.Array:
-        return at(table, (row + move) * sets + column) > within
+        return of_bases(book.need, book, base + move, robot) > within
 
-    first = ln.first_that(is_late, jnp.ones_like(length), length + 1, homes.turnings)
-    turns = (first <= length) & (first <= moves)
+    first = ln.first_that(is_late, jnp.ones_like(length), length + 1, book.homes.turnings)
+    owns = (doing == ln.TRAVEL) | (doing == ln.COVER)
+    turns = owns & (first <= length) & (first <= moves)
     moves = jnp.where(turns, first - 1, moves)
     if waits:
         turns = turns | ((length == 0) & is_late(jnp.zeros_like(length)))
-    return hold((moves, jnp.where(turns, ln.TURNS, fate)))
+    return hold((base, moves, jnp.where(turns, ln.TURNS, fate), end))
 
 
 def is_within_range(book: Book, place: jax.Array, robot: jax.Array, left: jax.Array) -> jax.Array:
@@ -55,65 +66,70 @@ def is_within_range(book: Book, place: jax.Array, robot: jax.Array, left: jax.Ar
     return (way < 0) | (steps + way <= left[:, None])
 
 
-def all_return(book, lanes, log, runs, key):  # type: ignore[no-untyped-def]
-    """Lanes whose mission is over before the next event: at the end of that step all robots return to base.
+def all_return(book: Book, lanes: Lanes, runs: jax.Array, key: jax.Array) -> Lanes:
+    """Where the mission is over before the next event, all robots return to base at the end of that step.
 
-    Each leaves its walk at its present cell, and departs at the end of the step. Returns lanes, log, and a mask of
-    these lanes.
+    Their walks end at their present cells, and each departs by an event of its own.
     """
     robots, stride = lanes.robots, ln.stride_of(book, lanes)
     step, K = jnp.minimum(key // stride, book.max_steps + 1), lanes.key.shape[1]
-    moving = (robots[:, :, ln.DOING] <= ln.CHARGE).any(axis=1)
+    doing = robots[:, :, ln.DOING]
+
+    def offset(time: jax.Array) -> jax.Array:
+        return jnp.clip(time[:, None] - robots[:, :, ln.SINCE], 0, robots[:, :, ln.LAST])
 
     def covered(time: jax.Array) -> jax.Array:
-        offset = jnp.clip(time[:, None] - robots[:, :, ln.SINCE], 0, robots[:, :, ln.LAST])
-        return (lanes.visited | entered(book, robots[:, :, ln.ROW] + offset) == book.every).all(axis=1)
+        return (lanes.visited | entered(book, robots[:, :, ln.ROW] + offset(time)) == book.every).all(axis=1)
 
     stuck = lanes.last + book.quiet
-    asleep = ~moving & (step + (key % stride >= K) > stuck) & (stuck <= book.max_steps)
-    may = runs & (lanes.over == 0)
+    asleep = (doing > ln.CHARGE).all(axis=1) & (step + (key % stride >= K) > stuck) & (stuck <= book.max_steps)
     # The cells visited by the last event were not complete before it.
     complete = (step > lanes.last) & covered(step - 1)
-    over = may & (complete | asleep)
+    over = runs & (lanes.over == 0) & (complete | asleep)
 
-    def turn() -> tuple[Lanes, Log | None]:
+    def turn() -> Lanes:
         first = ln.first_that(covered, jnp.minimum(lanes.last, step - 1), step - 1, ln.HALVINGS)
         time = jnp.where(complete, first, stuck)
-        offset = jnp.clip(time[:, None] - robots[:, :, ln.SINCE], 0, robots[:, :, ln.LAST])
-        doing = robots[:, :, ln.DOING]
         cut = over[:, None] & ((doing < ln.RETURN) | (doing == ln.IDLE))
-        walks, left = robots[:, :, ln.WALK].reshape(-1), lanes.left.reshape(-1, 2)
-        left = ln.left_after(book, walks, left, offset.reshape(-1)).reshape(lanes.left.shape)
-        rows = jnp.where(cut, robots[:, :, ln.ROW] + offset, 0)
-        come = jnp.bitwise_or.reduce(at(book.prefix, rows), axis=1)
-        cell = jnp.where(
-            robots[:, :, ln.WALK] > 0, at(book.cell_at, robots[:, :, ln.ROW] + offset), robots[:, :, ln.HERE]
-        )
-        who = jnp.broadcast_to(jnp.arange(K, dtype=jnp.int32), doing.shape)
-        until = robots[:, :, ln.UNTIL] - jnp.where(doing == ln.IDLE, 0, time[:, None])
-        after = ln.robot_fields(doing, doing=ln.IDLE, here=cell, area=-1, ident=0, since=time[:, None], until=until)
         charging = over[:, None] & (doing == ln.CHARGE)
-        kept = robots.at[:, :, ln.DOING].set(jnp.where(charging, ln.OUT, doing))
-        keys = jnp.where(cut, time[:, None] * stride + K + who, jnp.where(charging, NEVER, lanes.key))
-        changed = replace(
+        due = time[:, None] * stride + K + jnp.arange(K, dtype=jnp.int32)
+        outcome = jnp.where(complete, int(Outcome.COMPLETE), int(Outcome.NO_PROGRESS))
+        after = {
+            ln.DOING: jnp.where(charging, ln.OUT, doing),
+            ln.FATE: jnp.where(cut, ln.TURNS, robots[:, :, ln.FATE]),
+            ln.LAST: jnp.where(cut, offset(time), robots[:, :, ln.LAST]),
+        }
+        return replace(
             lanes,
-            visited=lanes.visited | come,
-            survived=lanes.survived | come,
-            robots=jnp.where(cut[:, :, None], after, kept),
-            left=jnp.where(cut[:, :, None], left, lanes.left),
-            key=keys,
-            over=jnp.where(over, jnp.where(complete, int(Outcome.COMPLETE), int(Outcome.NO_PROGRESS)) + 1, lanes.over),
+            robots=jnp.stack([after.get(name, robots[:, :, name]) for name in range(ln.FIELDS)], axis=2),
+            key=jnp.where(cut, due, jnp.where(charging, NEVER, lanes.key)),
+            over=jnp.where(over, outcome + 1, lanes.over),
             last=jnp.where(over, time, lanes.last),
-            fuel=lanes.fuel - over.astype(jnp.int32),
         )
-        if log is None:
-            return changed, None
-        flags = jnp.zeros(doing.shape, jnp.uint32)
-        written = ln.log_row(lanes.number[:, None], who, robots, offset, flags).reshape(-1, 4)
-        return changed, ln.write(log, (cut & (offset > 0)).reshape(-1), written)
 
-    lanes, log = ln.if_any(over, turn, (lanes, log))
-    return lanes, log, over
+    return ln.if_any(over, turn, lanes)
+
+
+def end_walks(
+    book: Book, lanes: Lanes, robot: jax.Array, me: jax.Array, moves: jax.Array, survived: jax.Array
+) -> Lanes:
+    """Lanes in which robots `[B]` have made so many moves of their walks, and survived so many; below 0: none."""
+
+    def come(moves: jax.Array) -> jax.Array:
+        cells = at(book.prefix, me[:, ln.ROW] + jnp.maximum(moves, 0))
+        return jnp.where((moves >= 0)[:, None], cells, jnp.uint32(0))
+
+    carried = lanes.carried
+    if carried is not None:
+        last = of_bases(book.brought, book, me[:, ln.ROW] + jnp.maximum(survived, 0), robot)
+        own = pick(carried, robot)
+        home = jnp.where((last > 0)[:, None], own | come(last), jnp.uint32(0))
+        mine = jnp.arange(carried.shape[1], dtype=jnp.int32) == robot[:, None]
+        carried = jnp.where(mine[:, :, None], (own | come(survived))[:, None], carried)
+        carried = carried.at[:, -1].set(carried[:, -1] | home)
+    return replace(
+        lanes, visited=lanes.visited | come(moves), survived=lanes.survived | come(survived), carried=carried
+    )
 
 
 # `Find Area To Share` for lanes: a robot without an area, the helper, takes a part of that of another, its owner.
@@ -186,11 +202,8 @@ def owner_sets_out(book, lanes, log, share, made, first, step, helper, offset): 
     waits = me[:, ln.DOING] == ln.START
     left = ln.left_after(book, me[:, ln.WALK], pick(lanes.left, owner), by)
     since = step - (owner > helper)
-    way, budget = jnp.maximum(share.walks[:, 0], 0), me[:, ln.UNTIL] - since
-    base, moves, fate, end = walk(book, way, left, budget)
-    # An owner already at its target begins to cover at its next turn, which may be the last of its range.
-    fate = jnp.where((moves == 0) & (budget <= 1), ln.ENDS, fate)
-    moves, fate = turning(book, owner, way, since, me[:, ln.UNTIL], moves, fate, True)
+    way, travel = jnp.maximum(share.walks[:, 0], 0), jnp.full_like(step, ln.TRAVEL)
+    base, moves, fate, end = depart(book, owner, travel, way, left, since, me[:, ln.UNTIL], True)
     part, ident = first + share.parts[:, 0], made + share.parts[:, 0]
     after = ln.robot_fields(
         step, doing=ln.TRAVEL, here=end, area=part, ident=ident, since=since, until=me[:, ln.UNTIL], fate=fate,
@@ -200,11 +213,9 @@ def owner_sets_out(book, lanes, log, share, made, first, step, helper, offset): 
     after = jnp.where(waits[:, None] & ~given, me, after)
     here = share.found[:, None] & (jnp.arange(K, dtype=jnp.int32) == owner[:, None])
     goes = here & ~waits[:, None]
-    come = jnp.where((share.found & ~waits)[:, None], at(book.prefix, me[:, ln.ROW] + by), jnp.uint32(0))
+    walked = jnp.where(share.found & ~waits, by, -1)
     lanes = replace(
-        lanes,
-        visited=lanes.visited | come,
-        survived=lanes.survived | come,
+        end_walks(book, lanes, owner, me, walked, walked),
         key=jnp.where(
             goes,
             ((since + jnp.maximum(moves + (fate == ln.TURNS), 1)) * ln.stride_of(book, lanes) + owner)[:, None],
@@ -215,5 +226,5 @@ def owner_sets_out(book, lanes, log, share, made, first, step, helper, offset): 
     )
     if log is not None:
         rows = ln.log_row(lanes.number, owner, me, by, jnp.zeros(by.shape, jnp.uint32))
-        log = ln.write(log, share.found & ~waits & (by > 0), rows)
+        log = ln.write(log, walked > 0, rows)
     return lanes, log

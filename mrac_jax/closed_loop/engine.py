@@ -53,6 +53,8 @@ ROOM, PARTS = 32, 8
 CHUNK = 512
 """Rows of a table sent to a device at a time."""
 AXIS = "devices"
+NEVER_MET = 2**63 - 1
+"""A hazard that no robot has met: lanes do not begin at that snapshot."""
 
 
 @jax.tree_util.register_dataclass
@@ -77,7 +79,7 @@ def run(book: Book, lanes: Lanes, batch: Batch) -> tuple[Lanes, Batch]:
     """Roll out the batch until it has ended, many lanes wait for the book, or the log is full."""
     B, K = lanes.key.shape
     width = max(B // BEGIN, 1)
-    needed = rows_of_round(book.homes is not None, B, K)
+    needed = rows_of_round(B, K)
 
     def goes_on(state: tuple[Lanes, Batch]) -> jax.Array:
         lanes, batch = state
@@ -98,9 +100,9 @@ def run(book: Book, lanes: Lanes, batch: Batch) -> tuple[Lanes, Batch]:
     return jax.lax.while_loop(goes_on, round_, (lanes, batch))
 
 
-def rows_of_round(comes_home: bool, lanes: int, robots: int) -> int:
-    """Rows of the log that a round may add: two an event, and one a robot if a rollout or all walks end."""
-    return EVENTS * lanes * (2 + comes_home * robots) + max(lanes // BEGIN, 1) * robots
+def rows_of_round(lanes: int, robots: int) -> int:
+    """Rows of the log that a round may add: two an event, and one a robot if a rollout ends."""
+    return EVENTS * lanes * 2 + max(lanes // BEGIN, 1) * robots
 
 
 def hand_over(book: Book, lanes: Lanes, batch: Batch, width: int) -> tuple[Lanes, Batch]:
@@ -165,7 +167,6 @@ class DeviceBook:
     def __init__(self, host: HostBook, sharding: NamedSharding) -> None:
         self.host, self._sharding, self._sent = host, sharding, dict[str, int]()
         self._tables: dict[str, jax.Array] = {}
-        self._buckets: NDArray[np.uint32] | None = None
 
     def tables(self) -> dict[str, jax.Array]:
         """The present content of the book."""
@@ -182,10 +183,7 @@ class DeviceBook:
                 self._sent[name] = min(first + size, table.used)
             self._tables = _append(self._tables, rows, begins)
         # A new entry changes a bucket anywhere in the table; the table is small, so it is sent whole.
-        if self._buckets is None or not np.array_equal(self._buckets, self.host.buckets):
-            self._buckets = self.host.buckets.copy()
-            self._tables_of_buckets = put(self._buckets)
-        return self._tables | {"buckets": self._tables_of_buckets}
+        return self._tables | {"buckets": put(self.host.buckets.copy())}
 
 
 def _words_of(rows: NDArray) -> NDArray:
@@ -255,8 +253,7 @@ class JaxClosedLoop(Engine):
             "quiet": np.int32(loop.tables.quiet_steps),
             "next_of": owned,
             "first": jax.tree.map(lambda of: np.broadcast_to(of, (B, *of.shape)).copy(), lane),
-            "before": np.zeros((B, K, 2), np.uint32),
-            "milestones": np.zeros(K, np.int32),
+            "met": np.zeros((B, K, 2), np.uint32),
         }
         if loop.comes_home:
             t, pad = loop.tables, (0, K - loop.robots)
@@ -281,40 +278,29 @@ class JaxClosedLoop(Engine):
         ends = halted.mode == ln.OFF
         last = int(ends.argmax()) if ends.any() else B - 1
         follow_nominal(host, self._begun, rows)
-        keys = halted.key.min(axis=1)[:last].astype(np.int64)
-        # The return of all robots is an event at the end of a step, visible in the next key only.
-        keys = np.minimum.accumulate(keys[::-1])[::-1]
-        marks = [self._milestones(halted, rows, robot, keys, last) for robot in range(K)]
         left = (halted.left[..., 0].astype(np.int64) << 32) + halted.left[..., 1]
         halted = replace(
             halted, mode=np.where(ends, ln.DONE, ln.RUN), fuel=np.full(B, 2**30, np.int32),
-            left=np.zeros_like(halted.left),
+            left=uint64_pairs(ENDLESS - left),
         )  # fmt: skip
-        some = {"first": halted, "before": uint64_pairs(ENDLESS - left), "milestones": np.array(marks, np.int32)}
-        self._fixed |= jax.device_put(some, self._whole)
+        met = np.full((B, K), NEVER_MET)
+        met[: last + 1] = ENDLESS - left[: last + 1] + self._met_on_walks(halted, last)
+        self._fixed |= jax.device_put({"first": halted, "met": uint64_pairs(met)}, self._whole)
         self._lanes = replace(self._lanes, mode=jax.device_put(np.full(D * B, ln.OFF, np.int32), self._shared))
 
-    def _milestones(
-        self, halted: Lanes, rows: NDArray[np.uint32], robot: int, keys: NDArray[np.int64], last: int
-    ) -> int:
-        """The entry that maps a robot's threshold to the last snapshot before its loss in the run without losses.
-
-        `keys`: of the event after each snapshot but the last.
-        """
-        host = self.host
-        walks = rows[rows[:, 0] == last << 10 | robot, 1:].astype(np.int64)
-        walks[:, 1] = walks[:, 1].astype(np.int32)
-        walks[:, 2] &= ln.FINAL - 1
-        if halted.mode[last] == ln.RUN:  # the present walk began before the last snapshot
-            walks = np.append(walks, [halted.robots[last, robot, [ln.WALK, ln.SINCE, ln.LAST]]], axis=0)
-        marks, exposure = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
-        for entry, since, moves in walks.tolist():
-            first, count = host.entries.rows[entry, [FIRST, COUNT]].tolist()
-            at_ = host.at.rows[first : first + count]
-            some = at_ <= moves
-            exposure.append(np.diff(host.sums.rows[first - 1 : first + count])[some])
-            marks.append(np.searchsorted(keys, (since + at_[some].astype(np.int64)) * stride_of(self.loop) + robot))
-        return host.add_milestones(last, np.concatenate(marks), np.concatenate(exposure))
+    def _met_on_walks(self, halted: Lanes, last: int) -> NDArray[np.int64]:
+        """The hazard that robots have met on their walks by the event before each snapshot, `[last + 1, K]`."""
+        host, keys = self.host, halted.key.min(axis=1)[:last]
+        # The return of all robots is an event at the end of a step, visible in the next key only.
+        before = np.append(-1, np.minimum.accumulate(keys[::-1])[::-1])
+        met = np.zeros((last + 1, halted.key.shape[1]), np.int64)
+        for snapshot, robot in np.ndindex(met.shape):
+            me = halted.robots[snapshot, robot]
+            moves = min((before[snapshot] - robot) // stride_of(self.loop) - me[ln.SINCE], me[ln.LAST])
+            first, count = host.entries.rows[me[ln.WALK], [FIRST, COUNT]]
+            visits = np.searchsorted(host.at.rows[first : first + count], moves, "right")
+            met[snapshot, robot] = host.sums.rows[first - 1 + visits]
+        return met
 
     def book(self) -> Book:
         """The present book on the devices."""
@@ -341,7 +327,7 @@ class JaxClosedLoop(Engine):
         else:  # a Weibull shape other than 1, or different hazard multipliers
             drawn = self.loop.failure_model.thresholds(self.seed, queue, self.loop.robots)
             left = put(uint64_pairs(np.pad(drawn, ((0, 0), (0, K - drawn.shape[1])))))
-        rows = (LOG_ROUNDS + 1) * rows_of_round(self.loop.comes_home, B, K)
+        rows = (LOG_ROUNDS + 1) * rows_of_round(B, K)
         zeros = partial(jnp.zeros, device=self._shared)  # allocated on the device: they may be gigabytes
         made = on_host(
             Batch,
@@ -400,8 +386,7 @@ class JaxClosedLoop(Engine):
                 value_sums[mine] = counting.add(self.host, rows, begun[mine - first])
         counting.add_numbers(numbers)
         tally = tally_from(self.loop, self.seed, start, count, [counting.counts])
-        own = ln.NUMBERS if self.loop.comes_home else ln.NUMBERS - 1
-        return tally, results_from(start, numbers[:, :own], value_sums)
+        return tally, results_from(start, numbers[:, : ln.NUMBERS - (not self.loop.delivers)], value_sums)
 
     @fixed_flags()
     def _batch_of(self, ids: NDArray[np.int64]) -> tuple[NDArray, NDArray, list[NDArray[np.uint32]], NDArray]:

@@ -11,18 +11,20 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 
-from mrac_jax.arrays import less
+from mrac_jax.arrays import is_reached, less
 from mrac_jax.closed_loop import lanes as ln
 from mrac_jax.closed_loop.book import BISECTED, HOMEWARD, LENGTH, NEVER, PARTS, PIECE, SPLIT
 from mrac_jax.closed_loop.decisions import (
     all_return,
+    depart,
+    end_walks,
     find_to_share,
     is_within_range,
     moves_home,
+    of_bases,
     owner_sets_out,
-    turning,
 )
-from mrac_jax.closed_loop.lanes import Book, Ended, Lanes, Log, at, entered, hold, look_up, one_cell, pick, walk
+from mrac_jax.closed_loop.lanes import Book, Ended, Lanes, Log, at, entered, hold, look_up, one_cell, pick
 from planner.simulator.codes import Outcome
 
 
@@ -33,8 +35,8 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     homes, stride = book.homes, ln.stride_of(book, lanes)
     runs, key = (lanes.mode == ln.RUN) & (lanes.fuel > 0), lanes.key.min(axis=1)
     if homes is not None:
-        lanes, log, over = all_return(book, lanes, log, runs, key)
-        runs, key = runs & ~over, lanes.key.min(axis=1)
+        lanes = all_return(book, lanes, runs, key)
+        key = lanes.key.min(axis=1)
     none, step, who = key == NEVER, key // stride, key % stride % K
     due = key % stride >= K  # at the end of the step
     late = step > book.max_steps
@@ -101,7 +103,7 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
         recalls = wants & too_far & ~closed & ~shares & (homes.recharge > 0) & (until - step < at(homes.range, who))
         turned = (fate == ln.TURNS) | ((fate == ln.ENDS) & (way == 0) & ~returns) | recalls | due
         next_row = row_end + (me[:, ln.LAST] < at(book.entries, me[:, ln.WALK])[:, LENGTH])
-        need = at(book.need.reshape(-1), next_row * book.need.shape[1] + at(homes.of, who))
+        need = of_bases(book.need, book, next_row, who)
         own = (homes.recharge > 0) & (until - step + 1 < at(homes.range, who)) & (need > until - me[:, ln.SINCE])
         recalls = recalls | ((fate == ln.TURNS) & own) | ((fate == ln.ENDS) & (way == 0) & (homes.recharge > 0))
         recalls = jnp.where(returns, doing == ln.RECALL, recalls)
@@ -130,19 +132,15 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     gone = acts & (leaves | turned | returns) & ~again & ~goes
     charges = gone & arrives & recalls & (lanes.over == 0)
 
-    # A robot that turns back keeps the rest of its threshold.
-    done = None if homes is None else me[:, ln.LAST]
-    spent = acts & ~again & ~dies & ((fate == ln.ARRIVES) | (homes is not None))
+    # A robot that turns back keeps the rest of its threshold; at the end of its range it needs none.
+    done, spent = None if homes is None else me[:, ln.LAST], acts & ~again & ~dies
     left = jnp.where(spent[:, None], ln.left_after(book, me[:, ln.WALK], left, done), left)
     leg = jnp.maximum(jnp.where(shares, share.walks[:, 1], entry), 0)
     # A robot that turns back before its move makes it on its way to the base.
-    since = step - (fate == ln.TURNS)
-    base, moves, how, end = walk(book, leg, left, until - since + homeward)
-    if homes is not None:
-        turns = turning(book, who, leg, since, until, moves, how)
-        moves, how = (jnp.where(homeward, old, new) for old, new in zip((moves, how), turns, strict=True))
-    given, number = first + share.parts[:, 1], lanes.made + share.parts[:, 1]
+    since = step - ((fate == ln.TURNS) & ~due)
     kind = jnp.where(homeward, jnp.where(recalls, ln.RECALL, ln.RETURN), jnp.where(covers, ln.COVER, ln.TRAVEL))
+    base, moves, how, end = depart(book, who, kind, leg, left, since, until)
+    given, number = first + share.parts[:, 1], lanes.made + share.parts[:, 1]
     own = jnp.where(shares, given, jnp.where(covers, piece, jnp.where(homeward, -1, area)))
     ident = jnp.where(shares, number, jnp.where(covers | starts, me[:, ln.IDENT], best))
     fresh = ln.robot_fields(
@@ -192,12 +190,11 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
         final = jnp.where(none & (lanes.over > 0), lanes.last, final)
     moved = come & ~due & (goes | ((doing != ln.IDLE) & (step > me[:, ln.SINCE]) & (fate != ln.TURNS)))
     mode = jnp.where(ended, ln.DONE, jnp.where(missing, ln.MISSING, jnp.where(full, ln.FULL, ln.RUN)))
+    walked = jnp.where(come, me[:, ln.LAST], -1)
     changed = replace(
-        lanes,
+        end_walks(book, lanes, who, me, walked, walked - dies),
         mode=jnp.where(runs, mode, lanes.mode),
         fuel=lanes.fuel - (acts | (runs & ends)).astype(jnp.int32),
-        visited=jnp.where(come[:, None], lanes.visited | at(book.prefix, row_end), lanes.visited),
-        survived=jnp.where(come[:, None], lanes.survived | at(book.prefix, row_end - dies), lanes.survived),
         slots=slots,
         made=lanes.made + jnp.where(makes, count, 0),
         key=jnp.where(mine, key[:, None], keys),
@@ -210,7 +207,7 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     )
     if log is not None:
         flags = jnp.where(dies, jnp.uint32(ln.STOPPED), jnp.uint32(0))
-        log = ln.write(log, come & (me[:, ln.LAST] > 0), ln.log_row(lanes.number, who, me, me[:, ln.LAST], flags))
+        log = ln.write(log, walked > 0, ln.log_row(lanes.number, who, me, me[:, ln.LAST], flags))
     share = replace(share, found=shares)
     return ln.if_any(
         shares, lambda: owner_sets_out(book, changed, log, share, lanes.made, first, step, who, offset), (changed, log)
@@ -218,27 +215,31 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
 
 
 def begin(book: Book, left: jax.Array, number: jax.Array) -> tuple[Lanes, jax.Array]:
-    """Lanes of rollouts with these thresholds, `[S, K, 2]`, at the snapshot before their first loss, and its number."""
-    S, K = left.shape[:2]
-    endless = jnp.full(S * K, ln.LIMITLESS, jnp.int32)
-    marks = walk(book, jnp.tile(book.milestones, S), left.reshape(-1, 2), endless, ln.HALVINGS)[1]
-    which = marks.reshape(S, K).min(axis=1)
-    lanes = jax.tree.map(lambda of: at(of, which), book.first)
-    left = less(left, at(book.before, which))
-    me = lanes.robots.reshape(S * K, ln.FIELDS)
-    doing, stride = me[:, ln.DOING], ln.stride_of(book, lanes)
-    homeward = (doing == ln.RETURN) | (doing == ln.RECALL)
-    _, moves, fate, _ = walk(book, me[:, ln.WALK], left.reshape(-1, 2), me[:, ln.UNTIL] - me[:, ln.SINCE] + homeward)
+    """Lanes of rollouts with these thresholds, `[S, K, 2]`, at the last snapshot before a loss, and its number."""
+    S, (M, K, _) = left.shape[0], book.met.shape
     who = jnp.tile(jnp.arange(K, dtype=jnp.int32), S)
-    turns = turning(book, who, me[:, ln.WALK], me[:, ln.SINCE], me[:, ln.UNTIL], moves, fate)
-    owns = (doing == ln.TRAVEL) | (doing == ln.COVER)
-    moves, fate = (jnp.where(owns, new, old).reshape(S, K) for old, new in zip((moves, fate), turns, strict=True))
-    stands = (lanes.robots[:, :, ln.LAST] == 0) & (lanes.robots[:, :, ln.FATE] != ln.TURNS)
-    stands = stands | (at(book.entries, lanes.robots[:, :, ln.WALK])[:, :, LENGTH] == 0)
-    key = (lanes.robots[:, :, ln.SINCE] + moves + (fate == ln.TURNS)) * stride + jnp.arange(K, dtype=jnp.int32)
-    fate = jnp.where(stands, lanes.robots[:, :, ln.FATE], fate)
-    kept = lanes.robots.at[:, :, ln.LAST].set(jnp.where(stands, 0, moves)).at[:, :, ln.FATE].set(fate)
-    return replace(lanes, number=number, left=left, key=jnp.where(stands, lanes.key, key), robots=kept), which
+
+    def is_lost(snapshot: jax.Array) -> jax.Array:
+        return is_reached(left.reshape(-1, 2), at(book.met.reshape(-1, 2), snapshot * K + who))
+
+    lost = ln.first_that(is_lost, jnp.ones_like(who), jnp.full_like(who, M), M.bit_length())
+    which = lost.reshape(S, K).min(axis=1) - 1
+    lanes = jax.tree.map(lambda of: at(of, which), book.first)
+    left, robots = less(left, lanes.left), lanes.robots
+    me = robots.reshape(S * K, ln.FIELDS)
+    walks = me[:, ln.WALK], left.reshape(-1, 2), me[:, ln.SINCE], me[:, ln.UNTIL]
+    _, moves, fate, _ = (of.reshape(S, K) for of in depart(book, who, me[:, ln.DOING], *walks))
+    stride = ln.stride_of(book, lanes)
+    stands = (robots[:, :, ln.LAST] == 0) & (robots[:, :, ln.FATE] != ln.TURNS)
+    # Robots that are due at the end of a step end their walks there.
+    stands = stands | (at(book.entries, robots[:, :, ln.WALK])[:, :, LENGTH] == 0) | (lanes.key % stride >= K)
+    key = (robots[:, :, ln.SINCE] + moves + (fate == ln.TURNS)) * stride + jnp.arange(K, dtype=jnp.int32)
+    moves, fate, key = (
+        jnp.where(stands, old, new)
+        for old, new in ((robots[:, :, ln.LAST], moves), (robots[:, :, ln.FATE], fate), (lanes.key, key))
+    )
+    kept = robots.at[:, :, ln.LAST].set(moves).at[:, :, ln.FATE].set(fate)
+    return replace(lanes, number=number, left=left, key=key, robots=kept), which
 
 
 def ended(book: Book, lanes: Lanes) -> tuple[Ended, jax.Array, jax.Array]:
@@ -274,11 +275,15 @@ def ended(book: Book, lanes: Lanes) -> tuple[Ended, jax.Array, jax.Array]:
     numbers += [jnp.where(complete, int(Outcome.COMPLETE), lanes.outcome), lanes.shared[:, 0], lanes.shared[:, 1]]
     flags = jnp.where(stopped, jnp.uint32(ln.STOPPED), jnp.uint32(0)) | jnp.uint32(ln.FINAL)
     who = jnp.arange(robots.shape[1], dtype=jnp.int32)
-    home = jnp.zeros_like(time)
+    home = delivered = jnp.zeros_like(time)
     if book.homes is not None:
         cell = jnp.where(robots[:, :, ln.WALK] > 0, at(book.cell_at, row + moves), robots[:, :, ln.HERE])
         is_home = moves_home(book, jnp.broadcast_to(who, cell.shape), cell) == 0
         home = (is_home & ~lost).sum(axis=1, dtype=jnp.int32)
-    numbers.append(home)
+    if lanes.carried is not None:
+        last = of_bases(book.brought, book, row + moves - stopped, jnp.broadcast_to(who, row.shape))
+        cells = jnp.where((last > 0)[:, :, None], lanes.carried[:, :-1] | at(book.prefix, row + last), jnp.uint32(0))
+        delivered = size(lanes.carried[:, -1] | jnp.bitwise_or.reduce(cells, axis=1))
+    numbers += [home, delivered]
     rows = ln.log_row(lanes.number[:, None], who, robots, moves, flags)
     return Ended(jnp.stack(numbers, axis=1), visited, survived), rows, moves > 0

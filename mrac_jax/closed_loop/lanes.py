@@ -29,8 +29,8 @@ DOING, FATE, HERE, AREA, IDENT, WALK, ROW, SINCE, LAST, UNTIL, FIELDS = range(11
 """Of a robot: its fate, the cell at which its walk ends, its piece (NONE) and the id of that area, its walk's entry and
 first row, the step before its first move, its number of moves, and the step of the last move of its range (for a
 waiting robot, moves left)."""
-TIME, NUMBERS = 2, 8
-"""Numbers of a rollout: visited, survived, time, alive, outcome, bisected, divided, robots at a base."""
+TIME, HOME, DELIVERED, NUMBERS = 2, 7, 8, 9
+"""Numbers of a rollout: visited, survived, time, alive, outcome, bisected, divided, robots at a base, delivered."""
 LIMITLESS = 2**28
 """The range of a robot with unlimited range."""
 STOPPED, FINAL = 2**31, 2**30
@@ -55,6 +55,8 @@ class Lanes:
         shared: `[B, 2]`, areas bisected, and divided. last: `[B]`, the last step with progress, or that of the end.
             outcome: `[B]`. over: `[B]`, 0, or the outcome plus 1 once all robots return to base.
         asked: `[B, W + 1]`, the set and the salt of the entry that is missing.
+        carried: `[B, K + 1, W]`, cells visited by each robot, in walks that have ended, and in the last row the cells
+            delivered; None: these are not counted.
     """
 
     mode: jax.Array
@@ -73,6 +75,7 @@ class Lanes:
     outcome: jax.Array
     over: jax.Array
     asked: jax.Array
+    carried: jax.Array | None
 
 
 @jax.tree_util.register_dataclass
@@ -105,9 +108,9 @@ class Book:
         mask: int32, costs without their level. every: uint32 `[W]`, all cells. max_steps, quiet: int32, T_max, and the
             steps in a row without progress after which a run ends. next_of: int32 `[P']`, of an external plan's area
             the next one of the same robot, NONE after the last.
-        first: Lanes `[M]`, snapshots of the run without losses, at which lanes begin; before: uint32 `[M, K, 2]`, the
-            hazard that robots have met by then, without the walk that they are on. milestones: int32 `[K]`, entries
-            that map a robot's threshold to the snapshot before its loss.
+        first: Lanes `[M]`, snapshots of the run without losses, at which lanes begin; their `left`: the hazard that
+            robots have met by then, without the walk that they are on. met: uint32 `[M, K, 2]`, with it: a robot whose
+            threshold that reaches is lost before.
         homes: None if robots do not return.
         halvings, parts: static: bits of the largest number of visits of a walk; maximum parts of a split.
         free: bool `[H, W]`, cells that robots can reach; cells: int32 `[A]`, the index of each in the map. plain: bool,
@@ -126,6 +129,7 @@ class Book:
     target: jax.Array
     steps: jax.Array
     need: jax.Array
+    brought: jax.Array
     buckets: jax.Array
     homes: Homes | None
     mask: jax.Array
@@ -134,8 +138,7 @@ class Book:
     quiet: jax.Array
     next_of: jax.Array
     first: Lanes
-    before: jax.Array
-    milestones: jax.Array
+    met: jax.Array
     halvings: int = field(metadata=STATIC)
     parts: int = field(metadata=STATIC)
     free: Any = None

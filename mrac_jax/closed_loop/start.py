@@ -84,6 +84,7 @@ def first_lane(book: HostBook, room: int) -> Lanes:
     open_ = members(raw.open)
     slots[open_] = open_
     visited, survived = (book.row_of(np.searchsorted(loop.cells, known)) for known in known_cells(loop))
+    carried = np.array([book.row_of(members(row)) for row in raw.carried])
     return on_host(
         Lanes,
         mode=np.int32(ln.RUN), number=np.int32(0), fuel=np.int32(NEVER), visited=visited, survived=survived,
@@ -91,6 +92,7 @@ def first_lane(book: HostBook, room: int) -> Lanes:
         left=np.broadcast_to(uint64_pairs(np.array(ENDLESS)), (K, 2)).copy(), shared=np.zeros(2, np.int32),
         last=np.int32(step - 1 - int(raw.marks["quiet"])), outcome=np.int32(0), over=np.int32(raw.marks["over"]),
         asked=np.zeros(book.words + 1, np.uint32),
+        carried=np.insert(carried, [team] * (K - team), 0, axis=0) if loop.delivers else None,
     )  # fmt: skip
 
 
@@ -99,18 +101,14 @@ def _robot(book: HostBook, raw, number: int, step: int) -> tuple[NDArray[np.int3
     loop, t = book.loop, book.loop.tables
     me, begins = raw.robots[number], loop.state is None
     cell, until = int(me["cell"]), int(min(me["until"], ln.LIMITLESS))
-    doing, area, entry = ln.LAND, -1, NOWHERE
+    area, entry = -1, NOWHERE
     if begins:
+        owned = np.flatnonzero(t.owner == number)
+        doing, path = ln.START if len(owned) else ln.LAND, np.array([cell])
+        area = int(owned[0]) if len(owned) else -1
         if len(t.given):
             doing, path = ln.FOLLOW, t.given[number][: int(t.length[number]) + 1].astype(np.int64)
-            owned = np.flatnonzero(t.owner == number)
-            area = int(owned[0]) if len(owned) else -1
-            entry = book.add_walk(cell, path, np.append(False, path[1:] == path[:-1]))
-        else:
-            owned = np.flatnonzero(t.owner == number)
-            if len(owned):
-                doing, area = ln.START, int(owned[0])
-            entry = book.add_walk(cell, np.array([cell]))
+        entry = book.add_walk(cell, path, np.append(False, path[1:] == path[:-1]))
     else:
         robot = loop.state.robots[number]  # type: ignore[union-attr]
         if number in members(raw.moving):
