@@ -119,16 +119,16 @@ def end_walks(
         cells = at(book.prefix, me[:, ln.ROW] + jnp.maximum(moves, 0))
         return jnp.where((moves >= 0)[:, None], cells, jnp.uint32(0))
 
-    carried = lanes.carried
-    if carried is not None:
+    undelivered = lanes.undelivered
+    if undelivered is not None:
         last = of_bases(book.brought, book, me[:, ln.ROW] + jnp.maximum(survived, 0), robot)
-        own = pick(carried, robot)
+        own = pick(undelivered, robot)
         home = jnp.where((last > 0)[:, None], own | come(last), jnp.uint32(0))
-        mine = jnp.arange(carried.shape[1], dtype=jnp.int32) == robot[:, None]
-        carried = jnp.where(mine[:, :, None], (own | come(survived))[:, None], carried)
-        carried = carried.at[:, -1].set(carried[:, -1] | home)
+        mine = jnp.arange(undelivered.shape[1], dtype=jnp.int32) == robot[:, None]
+        undelivered = jnp.where(mine[:, :, None], (own | come(survived))[:, None], undelivered)
+        undelivered = undelivered.at[:, -1].set(undelivered[:, -1] | home)
     return replace(
-        lanes, visited=lanes.visited | come(moves), survived=lanes.survived | come(survived), carried=carried
+        lanes, visited=lanes.visited | come(moves), survived=lanes.survived | come(survived), undelivered=undelivered
     )
 
 

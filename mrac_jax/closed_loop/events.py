@@ -280,10 +280,12 @@ def ended(book: Book, lanes: Lanes) -> tuple[Ended, jax.Array, jax.Array]:
         cell = jnp.where(robots[:, :, ln.WALK] > 0, at(book.cell_at, row + moves), robots[:, :, ln.HERE])
         is_home = moves_home(book, jnp.broadcast_to(who, cell.shape), cell) == 0
         home = (is_home & ~lost).sum(axis=1, dtype=jnp.int32)
-    if lanes.carried is not None:
+    if lanes.undelivered is not None:
         last = of_bases(book.brought, book, row + moves - stopped, jnp.broadcast_to(who, row.shape))
-        cells = jnp.where((last > 0)[:, :, None], lanes.carried[:, :-1] | at(book.prefix, row + last), jnp.uint32(0))
-        delivered = size(lanes.carried[:, -1] | jnp.bitwise_or.reduce(cells, axis=1))
+        cells = jnp.where(
+            (last > 0)[:, :, None], lanes.undelivered[:, :-1] | at(book.prefix, row + last), jnp.uint32(0)
+        )
+        delivered = size(lanes.undelivered[:, -1] | jnp.bitwise_or.reduce(cells, axis=1))
     numbers += [home, delivered]
     rows = ln.log_row(lanes.number[:, None], who, robots, moves, flags)
     return Ended(jnp.stack(numbers, axis=1), visited, survived), rows, moves > 0

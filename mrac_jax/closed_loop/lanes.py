@@ -55,8 +55,8 @@ class Lanes:
         shared: `[B, 2]`, areas bisected, and divided. last: `[B]`, the last step with progress, or that of the end.
             outcome: `[B]`. over: `[B]`, 0, or the outcome plus 1 once all robots return to base.
         asked: `[B, W + 1]`, the set and the salt of the entry that is missing.
-        carried: `[B, K + 1, W]`, cells visited by each robot, in walks that have ended, and in the last row the cells
-            delivered; None: these are not counted.
+        undelivered: `[B, K + 1, W]`, cells visited by each robot, in walks that have ended, and in the last row the
+            cells delivered; None: these are not counted.
     """
 
     mode: jax.Array
@@ -75,7 +75,7 @@ class Lanes:
     outcome: jax.Array
     over: jax.Array
     asked: jax.Array
-    carried: jax.Array | None
+    undelivered: jax.Array | None
 
 
 @jax.tree_util.register_dataclass

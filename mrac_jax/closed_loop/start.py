@@ -84,7 +84,7 @@ def first_lane(book: HostBook, room: int) -> Lanes:
     open_ = members(raw.open)
     slots[open_] = open_
     visited, survived = (book.row_of(np.searchsorted(loop.cells, known)) for known in known_cells(loop))
-    carried = np.array([book.row_of(members(row)) for row in raw.carried])
+    undelivered = np.array([book.row_of(members(row)) for row in raw.undelivered])
     return on_host(
         Lanes,
         mode=np.int32(ln.RUN), number=np.int32(0), fuel=np.int32(NEVER), visited=visited, survived=survived,
@@ -92,7 +92,7 @@ def first_lane(book: HostBook, room: int) -> Lanes:
         left=np.broadcast_to(uint64_pairs(np.array(ENDLESS)), (K, 2)).copy(), shared=np.zeros(2, np.int32),
         last=np.int32(step - 1 - int(raw.marks["quiet"])), outcome=np.int32(0), over=np.int32(raw.marks["over"]),
         asked=np.zeros(book.words + 1, np.uint32),
-        carried=np.insert(carried, [team] * (K - team), 0, axis=0) if loop.delivers else None,
+        undelivered=np.insert(undelivered, [team] * (K - team), 0, axis=0) if loop.delivers else None,
     )  # fmt: skip
 
 
