@@ -68,9 +68,8 @@ def _figure(size: TeamSize, point: TeamPoint) -> str:
     """The deciding figure of a simulated team, with its 95 % interval."""
     estimate = _deciding(size, point)
     low, high = estimate.ci95
-    sure = (
-        "exact" if low == high else f"95 % interval {between(100 * low, 100 * high, 2, 100)}{_if_sampled(size, point)}"
-    )
+    sure = "exact" if low == high else f"95 % interval {between(100 * low, 100 * high, 2, 100)}"
+    sure += _confirmed_note(size, point)
     what = f"chance of {_share(size)} {size.goal.meaning}"
     if size.goal.confidence is None:
         what = f"of the accessible cells {size.goal.meaning} on average"
@@ -110,7 +109,7 @@ def _listed(numbers: Sequence[int]) -> str:
     return ", ".join(parts)
 
 
-def _if_sampled(size: TeamSize, point: TeamPoint) -> str:
+def _confirmed_note(size: TeamSize, point: TeamPoint) -> str:
     return ", fresh rollouts" if point is size.confirmed and _deciding(size, point).half_width else ""
 
 
@@ -122,7 +121,7 @@ def _size_key_figures(size: TeamSize) -> list[KeyFigure]:
     note = f"{_listed(undecided)} undecided" if undecided else ""
     alive = [] if point.alive is None else [team_figure(point.alive, size.robots, "robots alive at the end")]
     enough = KeyFigure(counted(size.robots, "robot"), "enough", note)
-    return [enough, share_figure(_deciding(size, point), name, _if_sampled(size, point)), *alive]
+    return [enough, share_figure(_deciding(size, point), name, _confirmed_note(size, point)), *alive]
 
 
 def _target(size: TeamSize) -> str:

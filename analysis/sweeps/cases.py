@@ -297,15 +297,11 @@ ONCE_UNDER_WAY: dict[str, Any] = {
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """Rollout ids of one model to simulate: `key` of the run (`run_key`), the model, and the ids.
-
-    `exact_seconds`: see `engine.Job`.
-    """
+    """Rollout ids of one model to simulate: `key` of the run (`run_key`), the model, and the ids."""
 
     key: str
     model: RolloutChoices
     ids: Ranges
-    exact_seconds: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,17 +352,13 @@ def _tasks_run(wanted: Wanted, task: Task, loops: _Loops) -> RunResult:
     from planner.rollouts.engine import run_with_threshold_sums
 
     engine = loops.of(wanted.model)
-    controlled = wanted.model.loop == "closed"
     tallies = tuple(
         run_with_threshold_sums(engine, wanted.model.seed, start, stop - start)[0]
-        if controlled
+        if wanted.model.loop == "closed"
         else engine.tally(start, stop - start)
         for start, stop in cut(wanted.ids, BLOCK)
     )
-    facts = dict(loops.facts)
-    if controlled and wanted.exact_seconds:
-        facts["closed_loop"] = exact_means(loops.closed(wanted.model), wanted.exact_seconds)
-    return RunResult(wanted.key, labels_of(task.case, task.team, wanted.model), facts, tallies)
+    return RunResult(wanted.key, labels_of(task.case, task.team, wanted.model), loops.facts, tallies)
 
 
 class _Loops:
@@ -451,23 +443,6 @@ def _of_world(world: str) -> _Kept:
     return _Kept(AllPairs())
 
 
-def exact_means(loop: ClosedLoop, seconds: float) -> Json | None:
-    """Exact expectations of a closed loop, in cells, steps, robots and a chance; None if its tree is too expensive."""
-    from analysis.estimators.trial import Known, tree_of
-
-    tree = tree_of(loop, seconds)
-    if tree is None:
-        return None
-    known = Known(tree)
-    found = {name: known.mean(name) for name in ("visited", "survived", "time", "alive")}
-    found["complete"] = known.chance("visited", len(tree.counts.visited) - 1)
-    return (
-        {name: one.mean for name, one in found.items()}
-        if all(one.se == one.half_width == 0 for one in found.values())
-        else None
-    )
-
-
 def facts_of(team: Team, plan: Plan, most: int | None = None) -> Json:
     """Facts of a team's plan that need no rollouts, as JSON.
 
@@ -478,8 +453,7 @@ def facts_of(team: Team, plan: Plan, most: int | None = None) -> Json:
         `exact`: expectations of the open loop, in cells, steps and robots; None: unknown. `ideal_team`: upper bound in
         cells (docs/spec.md section 7); None: not valid for the failure model, or threats move. `rules`: the latest
         version of this release. `longest`: upper bound of a rollout's steps in either loop. `deadline`: only if it, not
-        the step limit, ends rollouts. Stores of earlier releases lack the last three. If a job asks for exact values,
-        its runs also have `closed_loop` (`exact_means`).
+        the step limit, ends rollouts. Stores of earlier releases lack the last three.
     """
     from analysis.theory.bounds import ideal_team
     from analysis.theory.exact import open_loop_exact

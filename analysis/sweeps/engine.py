@@ -36,17 +36,12 @@ less time than their message, and teams in one world then share its data."""
 
 @dataclass(frozen=True)
 class Job:
-    """A case with its models, and the first `rollouts` ids of each; `tag` is the caller's.
-
-    `exact_seconds`: approximate time limit for exact expectations of the closed loops, which rows then use
-    (`cases.exact_means`).
-    """
+    """A case with its models, and the first `rollouts` ids of each; `tag` is the caller's."""
 
     case: cases.Case
     models: tuple[RolloutChoices, ...]
     rollouts: int
     tag: int = 0
-    exact_seconds: float = 0.0
 
     def __post_init__(self) -> None:
         if not 1 <= self.rollouts <= MOST_ROLLOUTS:
@@ -228,7 +223,7 @@ class _Run:
         if held:
             self.reused += held
             self.store.label(key, cases.labels_of(job.case, team, model))
-        return cases.Wanted(key, model, missing, job.exact_seconds)
+        return cases.Wanted(key, model, missing)
 
     def take(self, task: cases.Task, results: list[cases.RunResult]) -> None:
         """Store a task's results; finish its job after its last task."""

@@ -26,7 +26,7 @@ from analysis.statistics.variance_reduction import (
     weights_of,
     with_controls,
 )
-from analysis.statistics.variance_reduction import FIGURES as BESIDE_LUCK
+from analysis.statistics.variance_reduction import FIGURES as CONTROLLED
 from analysis.sweeps.cases import RULES, Label, format_label
 from analysis.sweeps.engine import EARLIER, MAP_LABELS, runs_by_rules
 from analysis.sweeps.spec import WORLD, is_path
@@ -224,32 +224,21 @@ class Row:
 
 
 def figures_of(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Means of KEPT on a run's map with control variates `[KEPT, L]`, and the covariances of their errors.
-
-    If the closed loop's expectations are exact, they are used, with errors 0.
-    """
+    """Means of KEPT on a run's map with control variates `[KEPT, L]`, and the covariances of their errors."""
     facts, ideal = run.facts, run.facts["ideal_team"]
     assert run.sums is not None
     done = run.sums["outcomes"][Outcome.COMPLETE]
-    sums = [(done, done) if name == "complete" else tuple(run.sums[name]) for name in BESIDE_LUCK]
+    sums = [(done, done) if name == "complete" else tuple(run.sums[name]) for name in CONTROLLED]
     found = with_controls(run.rollouts, sums, run.sums.get("luck", ()), facts["robots"])
-    if is_exact(run):
-        found = np.zeros_like(found[0]), np.zeros_like(found[1])
-        found[0][:, 0] = [facts["closed_loop"][name] for name in BESIDE_LUCK]
     means, errors = (np.zeros((len(KEPT), *one.shape[1:])) for one in found)
     for name in FIGURES:
-        place, unit = BESIDE_LUCK.index(name.removesuffix("_of_free")), unit_of(run, name)
+        place, unit = CONTROLLED.index(name.removesuffix("_of_free")), unit_of(run, name)
         own = np.array([unit, *(1.0,) * (BESIDE - 1)])
         means[KEPT[name]], errors[KEPT[name]] = found[0][place] * own, found[1][place] * np.outer(own, own)
     known = [exact_of(run, name) for name in EXACT]
     known.append(nan if ideal is None else ideal / facts["cells"]["accessible"])
     means[len(FIGURES) :, 0] = [*known, facts["robots"], longest_of(run)]
     return means, errors
-
-
-def is_exact(run: Run) -> bool:
-    """Whether the expectations of its closed loop are exact."""
-    return bool(run.facts.get("closed_loop"))
 
 
 def outcomes_of(run: Run) -> Counter[str]:

@@ -8,13 +8,15 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.estimators.trial import Known, tree_of
 from analysis.sampling import RolloutChoices
 from analysis.statistics.variance_reduction import controlled_means
-from analysis.sweeps.cases import Case
+from analysis.sweeps.cases import Case, Places
 from analysis.sweeps.engine import Done, Finished, Job, run_cases
-from analysis.sweeps.results import KEPT, figures_of, is_exact
-from analysis.sweeps.store import Store
+from analysis.sweeps.results import KEPT, figures_of, unit_of
+from analysis.sweeps.store import Run, Store
 from analysis.utils.notes import ProgressCallback
+from planner.rollouts.closed_loop import compile_closed_loop
 
 SettingName = TypeVar("SettingName")
 Columns = dict[str, NDArray[np.float64]]
@@ -40,6 +42,7 @@ class ByMap(Generic[SettingName]):
         self, cases: Callable[[int], Iterable[tuple[SettingName, Case]]], seed: int, rollouts: int, exact: bool = False
     ) -> None:
         self._cases, self._seed, self._rollouts, self._exact = cases, seed, rollouts, exact
+        self._places = Places()
         self._under_way: dict[Case, tuple[SettingName, int]] = {}
         self._found: dict[SettingName, dict[int, OfMap]] = {}
 
@@ -56,7 +59,8 @@ class ByMap(Generic[SettingName]):
             setting, number = self._under_way.pop(done.job.case)
             run = held.run(done.keys[0])
             assert run is not None
-            self._found.setdefault(setting, {})[number] = (*figures_of(run), is_exact(run))
+            exact = self._exact_of(done.job.case, run)
+            self._found.setdefault(setting, {})[number] = (*figures_of(run), False) if exact is None else exact
             if store is None:
                 held.forget(done.keys)
             if progress is not None:
@@ -69,9 +73,28 @@ class ByMap(Generic[SettingName]):
         for number in range(maps):
             for setting, case in self._cases(number):
                 self._under_way[case] = (setting, number)
-                small = self._exact and case.robots is not None and case.robots <= EXACT_TEAM
-                model = RolloutChoices(seed=self._seed + number)
-                yield Job(case, (model,), self._rollouts, exact_seconds=EXACT_SECONDS if small else 0.0)
+                yield Job(case, (RolloutChoices(seed=self._seed + number),), self._rollouts)
+
+    def _exact_of(self, case: Case, run: Run) -> OfMap | None:
+        """The run's exact expectations, without errors; None if the team is too large, or its tree too expensive."""
+        if not self._exact or case.robots is None or case.robots > EXACT_TEAM:
+            return None
+        team = self._places.team(case)
+        tree = tree_of(compile_closed_loop(team.build(), team.world), EXACT_SECONDS)
+        if tree is None:
+            return None
+        known = Known(tree)
+        found = {name: known.mean(name) for name in ("visited", "survived", "time", "alive")}
+        found["complete"] = known.chance("visited", len(tree.counts.visited) - 1)
+        if any(one.se or one.half_width for one in found.values()):
+            return None
+        means, errors = figures_of(run)
+        for name, place in KEPT.items():
+            figure = name.removesuffix("_of_free")
+            if figure in found:
+                means[place], errors[place] = 0.0, 0.0
+                means[place, 0] = found[figure].mean * unit_of(run, name)
+        return means, errors, True
 
     def columns(self, settings: Sequence[SettingName]) -> dict[SettingName, Columns]:
         """Of the maps, from the first on, that all of these settings have; nothing if there is none."""
