@@ -14,7 +14,6 @@ from planner.errors import PlanError, StateError
 from planner.mrac.areas import allocate_areas_to_robots, connected_parts, find_areas, metis_parts
 from planner.mrac.problem import Problem, prepare
 from planner.plan.plan import FORMAT, Area, Leg, Plan, RobotPlan, last_move
-from planner.plan.plan_file import parse_plan, read_plan_json
 from planner.plan.reading import check_partition
 from planner.plan.state import NAT, ON_ITS_WAY, RETURNING, AreaState, MissionState, RobotState
 from planner.rollouts.closed_loop import compile_closed_loop, nominal_loop, with_run
@@ -341,6 +340,9 @@ def read_plan_on(path: str | Path, world: World) -> tuple[World, Plan]:
     Raises:
         PlanError: as in `read_plan`.
     """
+    # Only here: readers of all map formats come with it, Pillow among them.
+    from planner.plan.plan_file import parse_plan, read_plan_json
+
     source, before, data = str(path), as_before(world), read_plan_json(path)
     if before is not world and _of_version_1(data, before.sha256):
         plan = confirm_plan(parse_plan(data, before, source), before, source)

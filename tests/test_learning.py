@@ -503,7 +503,7 @@ def played(loop, hit, alarm):
         here = s.robots[robot].cell
         for cell in t.in_view[t.view_begin[here] : t.view_begin[here + 1]].tolist():
             heard = alarm(robot, int(s.marks.step), int(loop.cells[cell]))
-            beliefs.add(s, cell, t.lessons[ALARM] if heard else -t.lessons[SILENCE])
+            beliefs.add(s, cell, t.evidence[ALARM] if heard else -t.evidence[SILENCE])
 
     with patch.object(beliefs, "read", read):
         return SingleRun(loop, hit=hit).play()
