@@ -241,11 +241,8 @@ SWEEP = """if True:
 
 def begin(path: Path, script: Path, **values: int) -> subprocess.Popen[bytes]:
     script.write_text(ENDS_WITH_US + SWEEP.format(**values))
-    return subprocess.Popen([sys.executable, str(script), str(path)], stdout=subprocess.PIPE, env=_environment())
-
-
-def _environment() -> dict[str, str]:
-    return os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
+    return subprocess.Popen([sys.executable, str(script), str(path)], stdout=subprocess.PIPE, env=environment)
 
 
 @pytest.mark.parametrize(("numbers", "seed"), [(range(1, 2), 1), pytest.param(range(20), 2, marks=pytest.mark.slow)])

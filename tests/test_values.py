@@ -548,12 +548,9 @@ def test_mrac_ignores_values() -> None:
     assert plans[0].to_json() == plans[1].to_json()
     loops = [compile_closed_loop(plan, one) for plan, one in zip(plans, (world, fixture.world), strict=True)]
     assert loops[0].identity == loops[1].identity
-    by_value = [compile_closed_loop(plan_by_value(one), one) for one in (world, fixture.world)]
+    by = Settings(policy="per_cell")
+    by_value = [compile_closed_loop(make_plan(one, fixture.starts, by), one) for one in (world, fixture.world)]
     assert by_value[0].identity != by_value[1].identity
-
-
-def plan_by_value(world: World) -> Plan:
-    return make_plan(world, load_fixture("contiguous-14x23-1000-k2").starts, Settings(policy="per_cell"))
 
 
 # `docs/examples/search.py`: drones with a budget search a map of probabilities, and some are lost.
