@@ -434,7 +434,11 @@ def test_one_robot_is_known_exactly_and_rollouts_agree() -> None:
     told = answer.to_json()
     assert told["exact"]["closed_loop"]["how"] == "exact"
     assert told["bounds"]["any_strategy"] is None and told["bounds"]["eq1"] == [None]
-    assert told["moving_threats"][2] == {**MOVERS[1]} and told["moving_threats"][0] == {"walk": 0.5, "start": "anywhere", "h": 0.1}
+    assert told["moving_threats"][2] == {**MOVERS[1]} and told["moving_threats"][0] == {
+        "walk": 0.5,
+        "start": "anywhere",
+        "h": 0.1,
+    }
 
 
 def test_a_robot_that_waits_before_it_gives_up_is_still_met() -> None:
@@ -495,9 +499,9 @@ def test_a_page_plays_the_movers_of_its_runs() -> None:
     answer = mrac.evaluate(MOVING, 2, rollouts=60)
     page = check_page_is_sound(page_of(report(answer), "mrac-jax evaluate", {}, ()))
     plan, *rolled = next(found for found in page.data() if "runs" in found)["runs"]
-    assert "moving_threats" not in plan and len(rolled) == 3
+    assert "threats" not in plan and len(rolled) == 3
     for run in rolled:
-        moving = run["moving_threats"] | {"time": run["time"]}
+        moving = run["threats"] | {"time": run["time"]}
         ways = [threat_paths(MOVING, 0, one, run["time"] + 1) for one in range(60)]
         assert any(np.array_equal(unpacked(moving, 5), way) for way in ways)
 

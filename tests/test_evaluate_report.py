@@ -110,7 +110,7 @@ def test_the_headline_has_a_half_width_and_what_19_of_20_runs_reach(capsys: pyte
     shown_text = shown(answer, 200)
     assert report.INTERVALS in shown_text and QUANTILES_NOTE in shown_text
     assert re.search(
-        r"covers [\d.]+ points ± [\d.]+ more than robots .* \([\d.]+ %, exact\)\.$", report.gain_text(answer)
+        r"covers [\d.]+ points ± [\d.]+ more than one whose robots .* \([\d.]+ %, exact\)\.$", report.gain_text(answer)
     )
     few = mrac.evaluate(world, 2, rollouts=20, exact="never", advice=False, band=False)
     assert "19 of 20" not in summary(few) and QUANTILES_NOTE not in shown(few, 200)
@@ -164,14 +164,15 @@ def test_every_printed_share_of_losses_follows_from_the_tally() -> None:
         alive = rng.multinomial(runs, rng.dirichlet(np.full(robots + 1, rng.choice([1e-3, 0.05, 1.0]))))
         evaluation = known[robots]
         evaluation = replace(evaluation, tally=replace(evaluation.tally, alive=alive, ids=((0, runs),)))
-        mean, every, none = re.fullmatch(
-            r"([<>]? ?[\d.]+) of \d robots? .*; all in (.*) % of runs, none in (.*) %\.", losses_text(evaluation)
+        bound, mean, every, none = re.fullmatch(
+            r"(More than |Fewer than |)([\d.]+) of \d robots? .*; all in (.*) % of runs, none in (.*) %\.",
+            losses_text(evaluation),
         ).groups()  # type: ignore[union-attr]
         check_share(every, int(alive[0]), runs)
         check_share(none, int(alive[-1]), runs)
-        true, printed = float(alive @ np.arange(robots, -1, -1)) / runs, float(mean.strip("<> ").partition(" ")[0])
-        if mean[0] in "<>":
-            assert printed > true > 0 if mean[0] == "<" else printed < true < robots
+        true, printed = float(alive @ np.arange(robots, -1, -1)) / runs, float(mean)
+        if bound:
+            assert printed > true > 0 if bound == "Fewer than " else printed < true < robots
         else:
             assert abs(true - printed) <= 0.5 * 10.0 ** -len(mean.partition(".")[2]) + 1e-9
 

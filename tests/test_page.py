@@ -292,7 +292,7 @@ def test_the_answer_losses_chances_and_the_map_stand_before_the_sections(answer:
     tally = answer.tally
     wanted = [summary(answer), bound_text(answer), "7 were cut off", "The map and the plan", "mean time",
               "Chances in %, losses and time", "Coverage, % of", losses_text(answer), completion_text(answer),
-              "Reassigning", "Expected coverage by the end", formulas_text(answer), "Theorem 3, C = ",
+              "A team that reassigns", "Expected coverage by the end", formulas_text(answer), "Theorem 3, C = ",
               "4 rows are dropped", "Versions: "]  # fmt: skip
     places = [reader.text.index(words) for words in wanted]
     assert places == sorted(places)
