@@ -374,7 +374,7 @@ class Evaluation(Result):
         """The bound for every strategy; None if not `settled`, for first visits only, and from a mission state."""
         if self.choices.first_only or not self.settled or self.plan.state is not None:
             return None
-        return any_strategy(trimmed(self.world, self.plan), self.plan.starts, self.bound)
+        return any_strategy(trimmed(self.world, self.plan), self.plan.starts, self.bound, thresholds=bool(self.bound))
 
     @property
     def visited(self) -> Coverage:
