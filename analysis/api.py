@@ -851,7 +851,7 @@ def evaluate(
         precision: Stop at this half-width of the 95 % interval of mean coverage (default: 0.001, a tenth of a point).
         threat_scale: Also evaluate the same plan with all threats multiplied by these factors: "0.5,1,2".
         sensor_range: Also evaluate robots without a known map at these sensor ranges, in cells: "0,1,2,inf".
-        bound: Compute the upper bound on maps with more than 1,000 dangerous cells too.
+        bound: Compute the sharpest upper bound, on maps with over 1,000 dangerous cells too.
         band: also sample how coverage grows over time, for `plots`.
         advice: Coverage and losses of other settings (a few seconds; compiles on the first run).
         marginal_risk: Cells lost for one more percent of threat in each cell, with the plan as it is (takes about 1.5
@@ -994,7 +994,7 @@ def check(
         paper: Check the statements of the paper's experiments on random maps.
         maps: With `paper`: random maps per setting (default: 500, as in the paper).
         store: Keep results in this file, and reuse those that it has.
-        bound: Compute the upper bound on maps with more than 1,000 dangerous cells too.
+        bound: Compute the sharpest upper bound, on maps with over 1,000 dangerous cells too.
         theory: Table of an INPUT: main, a row per formula, or all readings and meanings (default: main).
     """
     check_word("theory", theory, ("main", "all"))

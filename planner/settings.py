@@ -476,7 +476,7 @@ OPTIONS: dict[str, Setting] = SETTINGS | dict([
             numbers=whole(1)),
     _option(SURVEY, "scheduler", "A dask.distributed scheduler, tls://host:8786 or tcp://host:8786.", "text"),
     _option(SURVEY, "store", "Keep results in this file, and reuse those that it has.", "path"),
-    _option(OUTPUT, "bound", "Compute the upper bound on maps with more than 1,000 dangerous cells too.", "flag",
+    _option(OUTPUT, "bound", "Compute the sharpest upper bound, on maps with over 1,000 dangerous cells too.", "flag",
             default=False, rare=True),
     _option(OUTPUT, "out", "Write the page, pictures and JSON to this folder.", "path"),
     _option(OUTPUT, "force", "Replace existing files without asking.", "flag", default=False),

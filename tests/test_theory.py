@@ -279,9 +279,7 @@ def test_ideal_of_a_map_by_hand() -> None:
 
 
 @given(worlds_with_starts())
-def test_ideal_of_a_map_lies_between_the_open_loop_and_the_ideal_of_the_team(
-    given_world: tuple[World, np.ndarray],
-) -> None:
+def test_ideal_of_a_map_is_between_open_loop_and_that_of_the_team(given_world: tuple[World, np.ndarray]) -> None:
     world, starts = given_world
     plan = make_plan(world, starts)
     bound, exact, paper = ideal_connected(world, starts), open_loop_exact(plan, world), all_bounds(plan, world)
@@ -455,7 +453,7 @@ def test_whatever_the_prices_what_they_prove_is_true(monkeypatch: pytest.MonkeyP
     best, nodes = optimum(world, starts), contract(world, starts)
     count, dangerous = len(nodes.weight), np.flatnonzero(nodes.threat > 0)
     inside = np.arange(count) != np.flatnonzero(nodes.starts)
-    rows: list[upper_bound.Row] = [upper_bound.Spend(dangerous, float(most_stopped(nodes.threat[dangerous], 1)[-1]))]
+    rows = [upper_bound.spend(nodes, dangerous, float(most_stopped(nodes.threat[dangerous], 1)[-1]))]
     rows += [way_within(nodes, node, inside) for node in np.flatnonzero(inside).tolist()]
     draw = np.random.default_rng(5)
     for _ in range(300):
@@ -501,7 +499,6 @@ def test_whatever_the_nodes_a_way_holds_of_the_best_strategy(robots: int) -> Non
             programme.add([way_within(nodes, node, inside)])
         visited, dual = programme.solve()[1:]
         assert best <= certified(nodes, programme.rows, dual) <= nodes.weight @ visited + 1e-5
-        assert best <= flow_bound(nodes)
 
 
 def test_half_a_robot_does_not_fill_a_room_by_going_round_in_it() -> None:
@@ -510,24 +507,23 @@ def test_half_a_robot_does_not_fill_a_room_by_going_round_in_it() -> None:
     nodes = contract(world, np.array([[3, 0]]))
     moves, visited, _ = Programme(nodes).solve()
     found = list(missing_ways(nodes, moves, visited))
-    assert found and all(visited[way.node] > way.free + way.share @ moves[way.moves] for way in found)
+    assert found and all(visited[way.nodes[0]] > way.most + way.share @ moves[way.moves] for way in found)
 
 
+@pytest.mark.parametrize("robots", [1, 2])
 @pytest.mark.parametrize("seed", range(12))
-def test_whatever_the_prices_no_walk_of_one_robot_brings_more_than_they_prove(
-    seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    world, draw = tiny_world(seed, 3, 4), np.random.default_rng(seed)
-    nodes = contract(world, np.array([[0, 0]]))
+def test_no_walks_bring_more_than_prices_prove(seed: int, robots: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    world, draw = tiny_world(seed, 3, 3 if robots == 2 else 4), np.random.default_rng(seed)
+    nodes, best = contract(world, np.array([[0, 0]] * robots)), optimum(world, [[0, 0]] * robots)
     programme = Programme(nodes)
     moves, visited, _ = programme.solve()
-    rows = [upper_bound.Spend(np.flatnonzero(nodes.threat), 1.0), *missing_ways(nodes, moves, visited)]
-    best = optimum(world, [[0, 0]])
+    rows = [upper_bound.spend(nodes, np.flatnonzero(nodes.threat), robots), *missing_ways(nodes, moves, visited)]
     monkeypatch.setattr(single, "REMEMBERED", seed % 3)
-    for rounds in (1, 2, 5, 60):
+    for rounds, classes in ((1, 1), (2, 2), (5, 4), (60, 2)):
         monkeypatch.setattr(single, "ROUNDS", rounds)
+        monkeypatch.setattr(single, "CLASSES", {robots: classes})
         arrive, prices = draw.exponential(0.5, len(nodes.weight)), draw.exponential(0.2, len(rows))
-        assert best is None or best <= single.single_bound(nodes, rows, arrive, prices)
+        assert best is None or best <= single.walk_bound(nodes, rows, arrive, prices)
 
 
 def test_a_walk_is_held_to_one_order_of_two_rooms() -> None:
@@ -686,10 +682,19 @@ def test_no_strategy_covers_more_value(seed: int) -> None:
 # The bound for every strategy against the best strategy there is, on worlds so small that it can be found.
 
 
-@pytest.mark.slow
-def test_the_programme_is_never_below_the_optimum_on_10000_worlds() -> None:
-    for seed in range(10_000):
-        world = tiny_world(seed, 2, 5) if seed % 2 else tiny_world(seed, 3, 3)
-        starts = [[0, 0]] * (1 + seed % 3 // 2)
-        best, bound = optimum(world, starts), flow_bound(contract(world, np.array(starts)))
-        assert best is None or best <= bound, seed
+@pytest.mark.parametrize("seeds", [range(24), pytest.param(range(10_000), marks=pytest.mark.slow)])
+def test_bounds_are_never_below_the_optimum(seeds: range) -> None:
+    """One or two robots anywhere, in a third of the worlds values of the cells; thresholds remove something."""
+    removed = 0.0
+    for seed in seeds:
+        draw = np.random.default_rng(seed)
+        threat = draw.choice([0, 0, 0, np.nan, 0.04, 0.2, 0.9, draw.uniform(0, 0.7)], (3, draw.integers(3, 6)))
+        threat[0, 0] = 0.1 * draw.integers(3)
+        value = draw.choice([0, 1, 2.5, 7], threat.shape) if seed % 3 == 0 else None
+        cells = np.argwhere(~np.isnan(threat))
+        world, starts = World.create(threat), cells[draw.integers(len(cells), size=1 + seed % 2)]
+        nodes, best = contract(world, starts, value), optimum(world, starts, value)
+        plain, walks = (flow_bound(nodes, thresholds=thresholds) for thresholds in (False, True))
+        assert (best or 0.0) <= walks <= plain, seed
+        removed += plain - walks
+    assert removed > 0.01 * len(seeds)

@@ -135,6 +135,7 @@ def check_map(
     alone: Plan | None = None,
     figures: int = FIGURES,
     bound: bool | None = None,
+    thresholds: bool = False,
     kept: AllPairs | None = None,
 ) -> MapCheck:
     """Check all formulas on one map.
@@ -145,13 +146,13 @@ def check_map(
         sample: simulates the closed loop, and is called only if it is not known exactly; returns None without rollouts.
         alone: the plan of the first robot alone, if available.
         figures: number of sampled figures with simultaneous 95 % intervals, including the three of this map.
-        bound: whether the bound for every strategy is computed, as `flow` of `any_strategy`.
+        bound, thresholds: of the bound for every strategy, as `flow` and `thresholds` of `any_strategy`.
         kept: cache of all-pairs tables.
     """
     check_world(world)
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
     cells = float(world.accessible(plan.starts).sum())
-    limit = any_strategy(trimmed(world, plan), plan.starts, bound)
+    limit = any_strategy(trimmed(world, plan), plan.starts, bound, thresholds=thresholds)
     own = own_bounds(plan, world, bounds, limit)
     truths = {meaning: Truth.known(getattr(exact, meaning)) for meaning in MEANINGS}
     checks = [*paper_checks(plan, world, exact, bounds), *own_checks(own, truths, "open", cells)]
@@ -242,7 +243,7 @@ def check_input(
             partial = True
         return tally
 
-    checked = check_map(world, plan, choices, sample, bound=bound, kept=kept)
+    checked = check_map(world, plan, choices, sample, bound=bound, thresholds=bool(bound), kept=kept)
     return replace(checked, seed=choices.seed, partial=partial, theory=theory)
 
 

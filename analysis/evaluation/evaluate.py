@@ -368,7 +368,7 @@ class Evaluation(Result):
         """The bound for every strategy; None if not `is_plain`, for first visits only, and from a mission state."""
         if self.choices.first_only or not self.is_plain or self.plan.state is not None:
             return None
-        return any_strategy(trimmed(self.world, self.plan), self.plan.starts, self.bound)
+        return any_strategy(trimmed(self.world, self.plan), self.plan.starts, self.bound, thresholds=bool(self.bound))
 
     @property
     def visited(self) -> Coverage:

@@ -13,9 +13,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from analysis.theory.exact import PathChances, chances_of, robot_chances
 from planner.plan.plan import Leg, Plan, RobotPlan
-from planner.simulator.codes import NO_CELL
 from planner.simulator.jit import compiled
-from planner.simulator.searches import neighbour_table
+from planner.simulator.searches import neighbour_pairs
 from planner.world.levels import find_levels
 from planner.world.world import World, check_starts
 
@@ -395,11 +394,10 @@ def reach_chances(world: World, starts: ArrayLike) -> NDArray[np.float64]:
 def best_survival(world: World, starts: NDArray[np.int64]) -> NDArray[np.float64]:
     """`r_i(c)` of `reach_chances` for a robot at each of `starts` `[S, 2]`, float64 `[S, N]`; 0 if unreachable."""
     threat = world.threat.ravel().astype(np.float64)
-    near = neighbour_table(world.shape, ~np.isnan(threat))
-    source, side = np.nonzero(near != NO_CELL)
+    source, target = neighbour_pairs(world.shape, ~np.isnan(threat))
     # Leaving a cell costs its hazard; a safe cell gets a tiny one, because csgraph may drop an explicit 0.
     hazard = np.maximum(-np.log1p(-threat[source]), np.finfo(np.float64).tiny)
-    graph = csr_array((hazard, (source, near[source, side])), shape=(threat.size, threat.size))
+    graph = csr_array((hazard, (source, target)), shape=(threat.size, threat.size))
     chances: NDArray[np.float64] = np.exp(-dijkstra(graph, indices=starts[:, 0] * world.shape[1] + starts[:, 1]))
     return chances
 

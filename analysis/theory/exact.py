@@ -242,10 +242,13 @@ def _met(robot: RobotPlan, world: World) -> NDArray[np.float64]:
 
 def chances_of(plan: Plan, world: World) -> list[PathChances]:
     """`robot_chances` of every robot. From a mission state, lost robots stay lost, and the first cell costs nothing."""
-    return [
-        chances_along(robot, threat, plan.failure_model, number)
-        for number, (robot, threat) in enumerate(zip(plan.robots, _known_threats(plan, world), strict=True))
-    ]
+    return _all_along(plan, _known_threats(plan, world))
+
+
+def _all_along(plan: Plan, threats: list[NDArray[np.float64]]) -> list[PathChances]:
+    """`chances_along` of every robot, with the `threats` of its entries."""
+    pairs = enumerate(zip(plan.robots, threats, strict=True))
+    return [chances_along(robot, threat, plan.failure_model, number) for number, (robot, threat) in pairs]
 
 
 def _known_threats(plan: Plan, world: World) -> list[NDArray[np.float64]]:
@@ -379,11 +382,7 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
         return _of_each_alone(plan, world)
     sums: dict[str, NDArray[np.float64]] = {}
     for threats in maps:
-        robots = [
-            chances_along(robot, threat, plan.failure_model, number)
-            for number, (robot, threat) in enumerate(zip(plan.robots, threats, strict=True))
-        ]
-        found = exact_of(plan, robots, world.threat.size)
+        found = exact_of(plan, _all_along(plan, threats), world.threat.size)
         sums = {name: sums.get(name, 0.0) + getattr(found, name) * (1 / len(maps)) for name in FIELDS}
     return OpenLoopExact(**sums)
 

@@ -13,20 +13,19 @@ from scipy.sparse.csgraph import dijkstra
 
 from analysis.theory.bounds import ideal_connected, ideal_team
 from analysis.theory.flow_programme import (
+    CLASSES,
     INF,
     MOST_NODES,
     ULP,
     Nodes,
-    Spend,
-    Way,
+    Row,
     contract,
     make_solver,
     missing_ways,
-    single_bound,
+    walk_bound,
 )
 from planner.plan.plan import Plan
-from planner.simulator.codes import NO_CELL
-from planner.simulator.searches import neighbour_table
+from planner.simulator.searches import neighbour_pairs
 from planner.world.uncertain_maps import Hazard
 from planner.world.world import World, check_starts
 
@@ -63,9 +62,6 @@ SWEEPS = 100
 """Most sweeps that raise the prices one by one."""
 
 
-Row = Spend | Way
-
-
 @dataclass(frozen=True, eq=False)
 class Dual:
     """Prices of the programme's constraints, float64: `flow`, `arrive` `[V]`, `rows` of its sets D and ways."""
@@ -75,12 +71,13 @@ class Dual:
     rows: NDArray[np.float64]
 
 
-def flow_bound(nodes: Nodes, rounds: int = ROUNDS, ways: bool = True) -> float:
+def flow_bound(nodes: Nodes, rounds: int = ROUNDS, ways: bool = True, thresholds: bool = False) -> float:
     """The certified bound of the programme, in cells. Violated constraints (sets D and ways) are added in rounds.
 
     Args:
         nodes: the world. rounds: most solutions of the programme.
         ways: False omits the way constraints, for a fifth of the time.
+        thresholds: True restricts teams to walks too (`walk_bound`), as one robot is; takes ten times as long or more.
     """
     dangerous = np.flatnonzero(nodes.threat > 0)
     programme = Programme(nodes)
@@ -94,19 +91,25 @@ def flow_bound(nodes: Nodes, rounds: int = ROUNDS, ways: bool = True) -> float:
         found += missing_ways(nodes, moves, visited) if ways else []
         if enough or not found or len(optima) == rounds:
             most = min(certified(nodes, programme.rows, dual), float(nodes.weight.sum()))
-            if nodes.robots > 1 or not ways or rounds < ROUNDS or len(nodes.weight) > MOST_NODES:
+            robots = max(CLASSES) if thresholds else 1
+            if nodes.robots > robots or not ways or rounds < ROUNDS or len(nodes.weight) > MOST_NODES:
                 return most
-            return min(most, single_bound(nodes, programme.rows, dual.arrive, dual.rows))
+            return min(most, walk_bound(nodes, programme.rows, dual.arrive, dual.rows))
         programme.add(found)
 
 
-def _overspent(nodes: Nodes, order: NDArray[np.int64], visited: NDArray[np.float64]) -> Iterator[Spend]:
+def _overspent(nodes: Nodes, order: NDArray[np.int64], visited: NDArray[np.float64]) -> Iterator[Row]:
     """The prefixes D of `order` that violate `spend` most; none within rounding."""
     most = most_stopped(nodes.threat[order], nodes.robots)
     over = np.cumsum(nodes.threat[order] * visited[order]) - most
     peaks = np.flatnonzero((over >= np.append(over[1:], -1.0)) & (over > np.insert(over[:-1], 0, -1.0)) & (over > 1e-6))
     for place in peaks[np.argsort(-over[peaks], kind="stable")][:NEW_SETS].tolist():
-        yield Spend(np.sort(order[: place + 1]), float(most[place]))
+        yield spend(nodes, np.sort(order[: place + 1]), float(most[place]))
+
+
+def spend(nodes: Nodes, members: NDArray[np.int64], most: float) -> Row:
+    """The constraint of a set D, int64: its nodes lose at most `most` robots."""
+    return Row(members, nodes.threat[members], members[:0], nodes.threat[:0], most)
 
 
 def most_stopped(threat: NDArray[np.float64], robots: int) -> NDArray[np.float64]:
@@ -144,11 +147,8 @@ class Programme:
         """Add rows."""
         first = len(self.nodes.source)
         for row in found:
-            if isinstance(row, Way):
-                columns, shares, most = np.append(row.moves, first + row.node), np.append(-row.share, 1.0), row.free
-            else:
-                columns, shares, most = first + row.members, self.nodes.threat[row.members], row.most
-            self._solver.addRow(-INF, most, len(columns), columns.astype(np.int32), shares)
+            columns, shares = np.append(row.moves, first + row.nodes), np.append(-row.share, row.paid)
+            self._solver.addRow(-INF, row.most, len(columns), columns.astype(np.int32), shares)
         self.rows += found
 
     def solve(self) -> tuple[NDArray[np.float64], NDArray[np.float64], Dual]:
@@ -176,15 +176,11 @@ def certified(nodes: Nodes, rows: Sequence[Row], dual: Dual) -> float:
     for row, price in zip(rows, map(Fraction, dual.rows.tolist()), strict=True):
         if not price:
             continue
-        if isinstance(row, Way):
-            total += price * Fraction(row.free)
-            paid[row.node] += price
-            for move, share in zip(row.moves.tolist(), row.share.tolist(), strict=True):
-                tolls[move] += price * Fraction(share)
-        else:
-            total += price * Fraction(row.most)
-            for member in row.members.tolist():
-                paid[member] += price * (1 - passed[member])
+        total += price * Fraction(row.most)
+        for node, share in zip(row.nodes.tolist(), row.paid.tolist(), strict=True):
+            paid[node] += price * Fraction(share)
+        for move, share in zip(row.moves.tolist(), row.share.tolist(), strict=True):
+            tolls[move] += price * Fraction(share)
     arrive = [Fraction(value) for value in dual.arrive.tolist()]
     toll = np.array([float(value) for value in tolls]) * (1 + ULP)
     flow = [Fraction(value) for value in _feasible(nodes, dual, toll).tolist()]
@@ -244,13 +240,15 @@ class AnyStrategy:
         return min(bound for bound in (self.flow, self.connected, self.ideal) if bound is not None)
 
 
-def any_strategy(world: World, starts: ArrayLike, flow: bool | None = None, ways: bool = True) -> AnyStrategy:
+def any_strategy(
+    world: World, starts: ArrayLike, flow: bool | None = None, ways: bool = True, thresholds: bool = False
+) -> AnyStrategy:
     """The bounds of `world` for robots at `starts` `[K, 2]`.
 
     Args:
         flow: whether the programme is solved, which may take seconds; None: in at most HASTY rounds on maps of more
             than MOST_CELLS, and not for more than MOST_DANGEROUS dangerous cells.
-        ways: as in `flow_bound`.
+        ways, thresholds: as in `flow_bound`.
 
     Raises:
         WorldError: the map is uncertain or changes.
@@ -262,7 +260,7 @@ def any_strategy(world: World, starts: ArrayLike, flow: bool | None = None, ways
     rounds = ROUNDS if flow or len(threat) <= MOST_CELLS else HASTY
     nodes = contract(world, checked) if solved else None
     return AnyStrategy(
-        flow=None if nodes is None else flow_bound(nodes, rounds, ways),
+        flow=None if nodes is None else flow_bound(nodes, rounds, ways, thresholds),
         connected=ideal_connected(world, checked),
         ideal=ideal_team(threat, len(checked)),
     )
@@ -284,17 +282,17 @@ def most_cells(world: World, starts: ArrayLike, flow: bool | None = None) -> flo
     return ideal_team(np.sort(threat), len(checked))
 
 
-def value_bound(world: World, starts: ArrayLike, ways: bool = True) -> float:
+def value_bound(world: World, starts: ArrayLike, ways: bool = True, thresholds: bool = False) -> float:
     """Upper bound of the expected value of visited cells: the programme with a cell's value as its weight.
 
-    `ways`: as in `flow_bound`.
+    `ways`, `thresholds`: as in `flow_bound`.
     """
     checked = check_starts(starts, world.threat, world.source)
     if world.value is None:
-        return flow_bound(contract(world, checked), ways=ways)
+        return flow_bound(contract(world, checked), ways=ways, thresholds=thresholds)
     largest = float(world.value.max())
     nodes = contract(world, checked, world.value / largest * (1.0 + ULP))
-    return flow_bound(nodes, ways=ways) * largest * (1.0 + ULP)
+    return flow_bound(nodes, ways=ways, thresholds=thresholds) * largest * (1.0 + ULP)
 
 
 # The cells within a team's range for any strategy; bounds may exclude the others.
@@ -348,11 +346,8 @@ def _visitable(
 
 def _graph(world: World) -> csr_array:
     """The moves between free cells, `[N, N]`."""
-    near = neighbour_table(world.shape, world.free.ravel())
-    source, side = np.nonzero(near != NO_CELL)
-    free = world.free.ravel()[source]
-    source, target = source[free], near[source, side][free]
-    return csr_array((np.ones(len(source)), (source, target)), shape=(world.threat.size, world.threat.size))
+    pairs = neighbour_pairs(world.shape, world.free.ravel())
+    return csr_array((np.ones(len(pairs[0])), pairs), shape=(world.threat.size, world.threat.size))
 
 
 def _moves(steps: csr_array, cells: NDArray[np.int64] | tuple[int, ...]) -> NDArray[np.float64]:

@@ -35,6 +35,13 @@ def neighbour_table(shape: tuple[int, int], passable: NDArray[np.bool_]) -> NDAr
     return np.stack(sides, axis=2).reshape(-1, 4)
 
 
+def neighbour_pairs(shape: tuple[int, int], passable: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """All pairs of neighbouring passable cells, as of `neighbour_table`: the cells, and a neighbour of each."""
+    near = neighbour_table(shape, passable)
+    cell, side = np.nonzero((near != NO_CELL) & passable[:, None])
+    return cell, near[cell, side]
+
+
 # A binary heap of (cost, cell) in two arrays, for compiled searches.
 
 
