@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import mrac_jax as mrac
 from planner.mrac.problem import prepare
 from planner.rollouts.closed_loop import compile_closed_loop
-from planner.rollouts.single_run import Hit, SingleRun, play
+from planner.rollouts.single_run import Hit, SingleRun
 from planner.simulator.codes import EventKind
 from planner.tally import Trace
 
@@ -79,7 +79,7 @@ def panels(count: int) -> NDArray:
 
 def run(hit: Hit = lambda robot, step, cell: False) -> Trace:
     """Return the run in which robot `robot` is lost at step `step` where `hit(robot, step, cell)` is true."""
-    return play(SingleRun(loop, hit=hit)).trace
+    return SingleRun(loop, hit=hit).play().trace
 
 
 def draw_robots(axes: Axes, trace: Trace, step: int) -> None:

@@ -23,7 +23,7 @@ from planner.rollouts.single_run import SingleRun
 from planner.settings import Settings
 from planner.simulator.codes import Outcome
 from planner.world.generate import PAPER_LEVELS, ThreatPattern, random_world
-from planner.world.moving_threats import ANYWHERE, MovingThreat, PlannedOn
+from planner.world.moving_threats import ANYWHERE, PLAN_ON, MovingThreat, PlannedOn
 from planner.world.robot_types import checked_types
 from planner.world.scenario import load_input
 from planner.world.start_rule import place_starts
@@ -303,19 +303,21 @@ def _world(rng: np.random.Generator, number: int) -> tuple[World, str]:
     threats = ThreatPattern(pattern, len(levels), levels, int(rng.integers(1000)))
     height, width = (int(side) for side in rng.integers(3, 12, 2))
     world = random_world(height, width, threats, obstacles=float(rng.choice([0, 0.15, 0.3])), threats=0.35)
-    danger = np.where(np.nan_to_num(world.threat) > 0, 1.0, 0.0)
+    danger, sight = np.where(np.nan_to_num(world.threat) > 0, 1.0, 0.0), number % 2 == 0
     if kind in ("hazard", "learned", "detector"):
         how = str(rng.choice(["persistent", "consumed"]))
         world = world.with_latent_hazard(how, 0.4 * danger, float(rng.choice([0.3, 0.9, 1.0])), kind != "hazard")
         if kind == "detector":
-            world = world.with_sensor_range({"range": 2, "detect": 0.8, "false_alarm": 0.1})
+            world = world.with_sensor_range({"range": 2, "sight": sight, "detect": 0.8, "false_alarm": 0.1})
     elif kind == "maps":
         other = np.minimum(3 * world.threat, np.float32(0.9))
-        world = world.with_maps([world.threat, other, 0 * world.threat])
+        world = world.with_maps([world.threat, other, 0 * world.threat], 0.9 if number % 3 == 0 else None)
         if rng.random() < 0.5:
-            world = world.with_prior_map(0.04, sensor_range=float(rng.choice([1, 2])))
+            world = world.with_prior_map(0.04, "unknown", {"range": float(rng.choice([1, 2])), "sight": sight})
     elif kind == "spread":
-        world = world.with_spread("beta", 4.0, str(rng.choice(["common", "level"])))
+        world = world.with_spread(
+            *(("beta", 4.0), ("lognormal", 0.5))[number % 2], str(rng.choice(["common", "level"]))
+        )
     elif kind == "phases":
         later = np.where(np.isnan(world.threat), np.nan, np.nan_to_num(world.threat)[::-1, ::-1])
         world = world.with_phases(
@@ -323,13 +325,13 @@ def _world(rng: np.random.Generator, number: int) -> tuple[World, str]:
         )
     elif kind == "prior":
         world = world.with_prior_map(
-            0.04, str(rng.choice(["unknown", "known"])), sensor_range=float(rng.choice([1, 2, 3]))
+            0.04, str(rng.choice(["unknown", "known"])), {"range": float(rng.choice([1, 2, 3])), "sight": sight}
         )
     elif kind == "truth":
         truth = random_world(height, width, replace(threats, seed=threats.seed + 1), obstacles=0.15, threats=0.3)
-        world = world.with_true_map(truth, sensor_range=float(rng.choice([1, 2])))
+        world = world.with_true_map(truth, {"range": float(rng.choice([1, 2])), "sight": sight})
     elif kind == "moving":
-        world = moving_world(number, most=9)
+        world = moving_world(number, most=9, plan_on=PLAN_ON[number % len(PLAN_ON)])
     elif kind == "types":
         one = np.nan_to_num(world.threat).astype(np.float64)
         of = np.array([1 - (1 - factor * one) for factor in (1.0, 0.4, 0.0)])

@@ -93,7 +93,8 @@ class VisitLoop(PythonLoop):
     """The closed loop of the simulator as Python by these draws."""
 
     def begin(self, seed: int, rollout: int) -> SingleRun:
-        draws = VisitDraws(self.problem.world, seed, rollout, self.loop.failure_model)
+        world, model = self.problem.world, self.loop.failure_model  # the world of its type, where all robots are of one
+        draws = VisitDraws(world, seed, rollout, model if world.types else replace(model, types=None))
         return SingleRun(self.loop, seed, rollout, hit=draws.hits)
 
 
