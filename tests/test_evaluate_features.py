@@ -434,7 +434,8 @@ def test_one_robot_is_known_exactly_and_rollouts_agree() -> None:
     told = answer.to_json()
     assert told["exact"]["closed_loop"]["how"] == "exact"
     assert told["bounds"]["any_strategy"] is None and told["bounds"]["eq1"] == [None]
-    assert told["movers"][2] == {**MOVERS[1]} and told["movers"][0] == {"walk": 0.5, "start": "anywhere", "h": 0.1}
+    walker, _, patrol = told["moving_threats"]
+    assert patrol == {**MOVERS[1]} and walker == {"walk": 0.5, "start": "anywhere", "h": 0.1}
 
 
 def test_a_robot_that_waits_before_it_gives_up_is_still_met() -> None:
@@ -488,16 +489,16 @@ def test_a_team_is_sampled_and_said_to_be_among_movers() -> None:
     answer = mrac.evaluate(MOVING, 2, rollouts=400)
     met = "2 walk and 1 patrols, and destroy a robot that they meet with probability 0.1 to 0.3"
     assert not answer.is_exact and met in " ".join(report(answer).last)
-    assert "movers" not in mrac.evaluate(GROUND, 2, rollouts=50).to_json()
+    assert "moving_threats" not in mrac.evaluate(GROUND, 2, rollouts=50).to_json()
 
 
 def test_a_page_plays_the_movers_of_its_runs() -> None:
     answer = mrac.evaluate(MOVING, 2, rollouts=60)
     page = check_page_is_sound(page_of(report(answer), "mrac-jax evaluate", {}, ()))
     plan, *rolled = next(found for found in page.data() if "runs" in found)["runs"]
-    assert "movers" not in plan and len(rolled) == 3
+    assert "threats" not in plan and len(rolled) == 3
     for run in rolled:
-        moving = run["movers"] | {"time": run["time"]}
+        moving = run["threats"] | {"time": run["time"]}
         ways = [threat_paths(MOVING, 0, one, run["time"] + 1) for one in range(60)]
         assert any(np.array_equal(unpacked(moving, 5), way) for way in ways)
 

@@ -68,7 +68,7 @@ EXACTLY = Context(prec=40)
 def in_kernels(words, exposures, tolerance, least):
     """What kernels make of words and of exposures."""
     for place in range(len(words)):
-        tolerance[place] = kernels.tolerance(words[place])
+        tolerance[place] = kernels.exp1_threshold(words[place])
     for place in range(len(exposures)):
         least[place] = kernels.least_word(exposures[place])
 
