@@ -191,13 +191,13 @@ def make_engine_for(
     announce_compilation(plan, choices.loop)
     how = Rolling(choices.loop, choices.first_only, choices.seed)
     engine = make_engine(plan, world, how, choices.engine, kept)
-    return engine if threats is None else engine.under(threats)
+    return engine if threats is None else engine.with_threat(threats)
 
 
 def make_singles(world: World, plan: Plan, choices: RolloutChoices, kept: AllPairs | None = None) -> Roll:
     """The loop that the choices name, rollout by rollout, up to their deadline. `kept`: as of `make_engine_for`."""
     engine = make_engine_for(world, plan, choices, kept=kept)
-    return (engine if choices.deadline is None else engine.until(choices.deadline)).results
+    return (engine if choices.deadline is None else engine.truncated_at(choices.deadline)).results
 
 
 def make_roll_out(
@@ -218,7 +218,7 @@ def make_roll_out(
         same = {"rollouts": made_for.rollouts, "precision": made_for.precision, "seconds": made_for.seconds}
         if replace(choices, **same) != made_for:  # type: ignore[arg-type]
             raise ValueError(f"made for {made_for}, called with {choices}")
-        engine = whole if until is None else whole.until(until)
+        engine = whole if until is None else whole.truncated_at(until)
         most = choices.rollouts if choices.precision is None else MOST_ROLLOUTS
         controlled = choices.loop == "closed" and most >= LEAST
         by_threshold = choices.seed if controlled else None

@@ -524,7 +524,7 @@ def book(
     """
     loop = compile_closed_loop(plan, world)
     if p is not None:
-        loop = loop.under(World.create(np.where(world.free, np.asarray(p, dtype=np.float32), np.nan)))
+        loop = loop.with_threat(World.create(np.where(world.free, np.asarray(p, dtype=np.float32), np.nan)))
     engine = JaxClosedLoop(loop, seed, lanes=lanes, devices=1)
     engine.run(0, rollouts)
     free = np.isin(np.arange(world.threat.size), loop.cells).reshape(world.shape)

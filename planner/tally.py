@@ -66,7 +66,7 @@ OF_CLOSED_LOOP = tuple(outcome for outcome in Outcome if outcome is not Outcome.
 
 
 OPTIONAL: dict[str, Any] = dict.fromkeys(("bisected", "divided", "home", "delivered"), np.int32)
-OPTIONAL |= dict.fromkeys(("worth_covered", "worth_found"), np.int64)
+OPTIONAL |= dict.fromkeys(("value_covered", "value_found"), np.int64)
 """Columns of `RolloutResults` that may be missing."""
 
 
@@ -89,8 +89,8 @@ class RolloutResults:
             and those that had several components already (SPEC section 5). Missing: zeros, as in the open loop.
         home: int32 `[B]`, robots alive at a base at the end (SPEC section 19). Missing: zeros.
         delivered: int32 `[B]`, cells delivered (SPEC section 19). Missing: zeros.
-        worth_covered, worth_found: int64 `[B]`, values of cells visited, and found (`ClosedLoop.weighing`). Missing:
-            zeros.
+        value_covered, value_found: int64 `[B]`, values of cells visited, and found (`ClosedLoop.with_cell_weights`).
+            Missing: zeros.
     """
 
     start: int
@@ -103,8 +103,8 @@ class RolloutResults:
     divided: NDArray[np.int32] = field(default_factory=_no_column)
     home: NDArray[np.int32] = field(default_factory=_no_column)
     delivered: NDArray[np.int32] = field(default_factory=_no_column)
-    worth_covered: NDArray = field(default_factory=_no_column)
-    worth_found: NDArray = field(default_factory=_no_column)
+    value_covered: NDArray = field(default_factory=_no_column)
+    value_found: NDArray = field(default_factory=_no_column)
 
     def __post_init__(self) -> None:
         for name, kind in OPTIONAL.items():
@@ -161,7 +161,7 @@ class Tally:
         new_visited, new_survived: cells covered for the first time at each step, over all rollouts.
         visits, stops: entries into each cell (re-visits included), and robots lost there.
         covered_visited, covered_survived: rollouts in which the cell was covered.
-        passes: rollouts with 1, 2, ... P or more survived visits of the cell (`ClosedLoop.weighing`).
+        passes: rollouts with 1, 2, ... P or more survived visits of the cell (`ClosedLoop.with_cell_weights`).
         by_threshold: sums of figures by class of the team's total failure threshold
             (`planner.rollouts.threshold_classes`).
         home: rollouts by robots alive at a base at the end; empty if robots do not return.

@@ -142,7 +142,7 @@ def test_the_nominal_run_is_counted_as_an_engine_counts_it(robots: int, policy: 
     ended = Outcome.COMPLETE if deadline is None else Outcome.STEP_LIMIT
     assert nominal.tally(3, 40).outcomes[ended] == 40
     for step in (1, plan.time - 1, plan.time, plan.time + 5):
-        assert nominal.until(step).tally(0, 7) == numba.until(step).tally(0, 7)
+        assert nominal.truncated_at(step).tally(0, 7) == numba.truncated_at(step).tally(0, 7)
     assert nominal.tally(0, 3) + nominal.tally(3, 2) == numba.tally(0, 5)
     for name in ("start", "visited", "survived", "time", "alive", "outcome"):
         assert np.array_equal(getattr(nominal.results(2, 9), name), getattr(numba.results(2, 9), name)), name

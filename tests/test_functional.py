@@ -381,12 +381,12 @@ def check_against_differences(
     """
     p, loop = truth_of(world), compile_closed_loop(plan, world)
     exact = closed_loop_gradient(world, plan, p, exact=True)
-    assert exact.coverage == pytest.approx(expected_visited(loop.under(World.create(p))), rel=1e-12)
+    assert exact.coverage == pytest.approx(expected_visited(loop.with_threat(World.create(p))), rel=1e-12)
     np.testing.assert_array_equal(np.isnan(exact.mean), ~(p > 0))
     for row, col in np.argwhere((p > 0) & (exact.losses > 0))[:most]:
         step = np.zeros(world.shape, np.float32)
         step[row, col] = 2.0**-9
-        more, less = (expected_visited(loop.under(World.create(p + sign * step))) for sign in (1, -1))
+        more, less = (expected_visited(loop.with_threat(World.create(p + sign * step))) for sign in (1, -1))
         assert exact.mean[row, col] == pytest.approx((more - less) / 2.0**-8, rel=1e-3, abs=1e-3)
     return plan, p, exact
 
@@ -428,7 +428,7 @@ def test_the_compiled_gradient_is_that_of_exact_trees(robots: int, policy: str) 
         plan, p, exact = check_against_differences(world, team(world, robots, policy))
         sampled = closed_loop_gradient(world, plan, p, rollouts=100_000, seed=2)
         check_sampled(sampled, exact)
-        tally = run_range(compile_closed_loop(plan, world).under(World.create(p)), 2, 0, 100_000)[0]
+        tally = run_range(compile_closed_loop(plan, world).with_threat(World.create(p)), 2, 0, 100_000)[0]
         assert sampled.coverage == pytest.approx(tally.visited @ np.arange(len(tally.visited)) / 100_000, rel=1e-12)
         np.testing.assert_array_equal(np.rint(sampled.losses * 100_000).ravel(), tally.stops)
         few = closed_loop_gradient(world, plan, p, rollouts=2000, threads=2)

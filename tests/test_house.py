@@ -36,15 +36,15 @@ from planner.tally import Tally
 from planner.world.generate import random_world
 from planner.world.start_rule import place_starts
 
-# The house: imports point back along planner -> analysis -> mrac_jax, oracles see no engine, and names no host.
+# The code base: imports point back along planner -> analysis -> mrac_jax, oracles import no engine, pins name no host.
 
-ROOMS = ("planner", "analysis", "mrac_jax")
-DOOR = re.compile(r"mrac_jax|mrac_jax\.__main__|mrac_jax\.env\.suite|analysis\.(api|cli)(\.\w+)?")
-ANSWERS = (
+PACKAGES = ("planner", "analysis", "mrac_jax")
+PUBLIC_API = re.compile(r"mrac_jax|mrac_jax\.__main__|mrac_jax\.env\.suite|analysis\.(api|cli)(\.\w+)?")
+RESULTS = (
     "evaluation", "comparison", "checking", "reproduction", "sweeps", "recording", "search", "policy_evaluation",
     "debrief",
 )  # fmt: skip
-KITS = ("statistics", "theory", "page", "pictures", "utils", "report", "exporting")
+UTILITIES = ("statistics", "theory", "page", "pictures", "utils", "report", "exporting")
 
 
 @cache
@@ -85,62 +85,62 @@ def module_of(path: Path) -> str:
 
 
 def sources() -> dict[str, Path]:
-    return {module_of(path): path for room in ROOMS for path in (ROOT / room).rglob("*.py")}
+    return {module_of(path): path for package in PACKAGES for path in (ROOT / package).rglob("*.py")}
 
 
-def room_of(module: str) -> str:
-    """The room that a module is in, or the module itself if it stands at the top of its package."""
+def package_of(module: str) -> str:
+    """The package that a module is in, or the module itself if it stands at the top of its package."""
     parts = module.split(".")
     return ".".join(parts[:2])
 
 
 def test_imports_point_back_along_the_data() -> None:
-    """`mrac_jax` is the door, and the engines that are looked up by name."""
-    allowed = {"planner": {"planner"}, "analysis": {"planner", "analysis"}, "mrac_jax": {*ROOMS, "jax"}}
-    for room in ROOMS:
-        files = list((ROOT / room).rglob("*.py"))
+    """`mrac_jax` is the public API; its engines are looked up by name."""
+    allowed = {"planner": {"planner"}, "analysis": {"planner", "analysis"}, "mrac_jax": {*PACKAGES, "jax"}}
+    for package in PACKAGES:
+        files = list((ROOT / package).rglob("*.py"))
         assert len(files) > 5
         for path in files:
-            assert {name.split(".")[0] for name in imports_of(path)} & {*ROOMS, "jax"} <= allowed[room], path
+            assert {name.split(".")[0] for name in imports_of(path)} & {*PACKAGES, "jax"} <= allowed[package], path
 
 
-def arrows(of: Callable[[str], str]) -> nx.DiGraph:
-    """Who imports whom; the door alone points forward, and nothing inside imports through it."""
+def graph_of(of: Callable[[str], str]) -> nx.DiGraph:
+    """Who imports whom; the public API alone points forward, and no module imports it."""
     known = sources()
     graph = nx.DiGraph()
     for module, path in known.items():
-        if not DOOR.fullmatch(module):
-            seen = {of(name) for name in imports_of(path) & set(known) if name not in ROOMS}
+        if not PUBLIC_API.fullmatch(module):
+            seen = {of(name) for name in imports_of(path) & set(known) if name not in PACKAGES}
             graph.add_edges_from((of(module), other) for other in seen if other != of(module))
     return graph
 
 
-def test_no_file_and_no_room_imports_in_a_circle() -> None:
-    for of in (str, room_of):
-        circles = [sorted(found) for found in nx.strongly_connected_components(arrows(of)) if len(found) > 1]
-        assert not circles, of
-    assert len(arrows(str)) > 150
+def test_no_file_and_no_package_imports_in_a_cycle() -> None:
+    for of in (str, package_of):
+        cycles = [sorted(found) for found in nx.strongly_connected_components(graph_of(of)) if len(found) > 1]
+        assert not cycles, of
+    assert len(graph_of(str)) > 150
 
 
-def test_seven_floors_carry_the_door() -> None:
-    """`planner` is the ground; every room of `analysis` stands above all that it imports."""
-    floors = nx.dag_longest_path(arrows(lambda module: "planner" if module.startswith("planner") else room_of(module)))
-    assert len(floors) <= 7, floors
+def test_packages_have_seven_layers_at_most() -> None:
+    """`planner` is the lowest layer; every package of `analysis` is above all that it imports."""
+    layers = nx.dag_longest_path(graph_of(lambda name: "planner" if name.startswith("planner") else package_of(name)))
+    assert len(layers) <= 7, layers
 
 
-def test_nothing_inside_comes_through_the_door() -> None:
+def test_no_module_imports_the_public_api() -> None:
     for module, path in sources().items():
-        if not DOOR.fullmatch(module):
+        if not PUBLIC_API.fullmatch(module):
             assert "mrac_jax.load" not in path.read_text(), module
-            assert not re.search(rf'import_module\("({"|".join(ROOMS)})', path.read_text()), module
-            assert not {name for name in imports_of(path) if name != "mrac_jax" and DOOR.fullmatch(name)}, module
+            assert not re.search(rf'import_module\("({"|".join(PACKAGES)})', path.read_text()), module
+            assert not {name for name in imports_of(path) if name != "mrac_jax" and PUBLIC_API.fullmatch(name)}, module
 
 
-def test_kits_know_no_answer_and_answers_no_command() -> None:
-    answers = {f"analysis.{room}" for room in ANSWERS}
-    graph = arrows(room_of)
-    for kit in KITS:
-        assert not set(graph.successors(f"analysis.{kit}")) & {*answers, "analysis.cli", "analysis.studio"}, kit
+def test_utilities_import_no_results_and_results_no_command() -> None:
+    answers = {f"analysis.{package}" for package in RESULTS}
+    graph = graph_of(package_of)
+    for utility in UTILITIES:
+        assert not set(graph.successors(f"analysis.{utility}")) & {*answers, "analysis.cli", "analysis.studio"}, utility
     for answer in answers:
         assert not {"analysis.cli", "analysis.studio"} & set(graph.successors(answer)), answer
 
@@ -182,8 +182,8 @@ def test_a_name_for_nothing_is_defined_once() -> None:
 
 
 def test_every_package_module_says_what_it_is_for() -> None:
-    for room in ROOMS:
-        for path in (ROOT / room).rglob("*.py"):
+    for package in PACKAGES:
+        for path in (ROOT / package).rglob("*.py"):
             assert ast.get_docstring(parsed(path)), path
 
 
@@ -197,8 +197,8 @@ def test_a_report_loads_no_pictures() -> None:
     run_python(code)
 
 
-FACES = ("cli", "studio", "page")
-"""Rooms whose words are those of the command line, or of style sheets."""
+INTERFACES = ("cli", "studio", "page")
+"""Packages whose words are those of the command line, or of style sheets."""
 PRINTED = re.compile(
     r"tables?|\w*reports?|page|comparison|threats|leaderboard|policy_evaluation"
     r"|reproduction|replay|model|answer|document"
@@ -222,7 +222,7 @@ def test_errors_name_arguments_not_options() -> None:
     """`planner.arguments.argument` says an argument as its reader knows it, in Python or on the command line."""
     checked = 0
     for module, path in sources().items():
-        if room_of(module) in {f"analysis.{face}" for face in FACES} or PRINTED.fullmatch(path.stem):
+        if package_of(module) in {f"analysis.{interface}" for interface in INTERFACES} or PRINTED.fullmatch(path.stem):
             continue
         for text in strings_of(nodes_of(path)):
             checked += 1
@@ -236,7 +236,7 @@ REGISTERED = re.compile(r"app\.command|overload|infer_getattr|lower_getattr_gene
 """Decorators that hand on what they decorate: nobody calls it by its name."""
 NAMED = {"world_with_starts", "cleared_world", "unserialize_library", "closed_rollouts", "step_env"}
 """Used all the same: by who writes Python, by a process that is begun with a line of it, and by Numba."""
-OURS = {"Protocol", "NamedTuple", "Enum", "IntEnum", "Exception", "object"}
+PLAIN_BASES = {"Protocol", "NamedTuple", "Enum", "IntEnum", "Exception", "object"}
 """Bases from elsewhere that call no method of their own accord."""
 
 
@@ -283,7 +283,7 @@ def test_nothing_is_there_that_nobody_uses() -> None:
     templates what they show.
     """
     files = [nodes_of(path) for path in sources().values()]
-    classes = {node.name for nodes in files for node in nodes if isinstance(node, ast.ClassDef)} | OURS
+    classes = {node.name for nodes in files for node in nodes if isinstance(node, ast.ClassDef)} | PLAIN_BASES
     uses = names_in(node for nodes in files for node in nodes)
     documents = " ".join(path.read_text() for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")))
     code = " ".join(re.findall(r"```.*?```|`[^`]*`", documents, re.DOTALL))

@@ -249,7 +249,7 @@ def test_threats_in_the_place_of_those_of_types_are_refused(tmp_path: Path) -> N
 
 def test_paths_alone_keep_their_types(tmp_path: Path) -> None:
     world, file = site(tmp_path), tmp_path / "paths.json"
-    plan = make_plan(world, place_starts(world, 2)[0], Settings(types=("drone", "rover"))).until(500)
+    plan = make_plan(world, place_starts(world, 2)[0], Settings(types=("drone", "rover"))).truncated_at(500)
     plan.save(file)
     other = replace(world, team=replace(world.team, settings={"types": ("rover", "rover")}))
     assert load_plan(file, other).failure_model == plan.failure_model

@@ -425,7 +425,7 @@ def test_entries_are_those_of_the_planner(loop: ClosedLoop) -> None:
 
 
 def test_a_made_up_limit_is_a_timeout(loop: ClosedLoop) -> None:
-    results = assert_same_runs(JaxClosedLoop(loop.until(7), 5, lanes=LANES), loop.until(7), 200)
+    results = assert_same_runs(JaxClosedLoop(loop.truncated_at(7), 5, lanes=LANES), loop.truncated_at(7), 200)
     assert (results.outcome == Outcome.STEP_LIMIT).sum() > 150
 
 
@@ -436,23 +436,24 @@ def test_deadlines_and_other_threats(name: str) -> None:
     engine = JaxClosedLoop(loop, 3, lanes=LANES)
     last = int(run_range(loop, 3, 0, 60, singles=True)[1].time.max())  # type: ignore[union-attr]
     for cut in (0, 1, last // 2, last - 1, last):
-        assert_same_runs(engine.until(cut), loop.until(cut), 60, f"{name} {cut}")
-    results = assert_same_runs(engine.under(safer), loop.under(safer), 100, name)
+        assert_same_runs(engine.truncated_at(cut), loop.truncated_at(cut), 60, f"{name} {cut}")
+    results = assert_same_runs(engine.with_threat(safer), loop.with_threat(safer), 100, name)
     assert (results.alive == loop.robots).sum() > 5
 
 
 def test_survived_visits_are_counted_and_weighed(loop: ClosedLoop) -> None:
     random, size = np.random.default_rng(3), loop.shape[0] * loop.shape[1]
     weights = random.integers(0, 2**40, size), random.integers(0, 2**40, (size, MOST_PASSES + 1))
-    results = assert_same_runs(JaxClosedLoop(loop, 5, lanes=LANES).weighing(*weights), loop.weighing(*weights), 200)
-    assert results.worth_found.min() > 0
+    engine = JaxClosedLoop(loop, 5, lanes=LANES).with_cell_weights(*weights)
+    results = assert_same_runs(engine, loop.with_cell_weights(*weights), 200)
+    assert results.value_found.min() > 0
 
 
 def test_what_is_derived_has_as_many_lanes(loop: ClosedLoop) -> None:
     engine, none = JaxClosedLoop(loop, 5, lanes=16, devices=1), np.zeros(loop.shape[0] * loop.shape[1], np.int64)
     safe = World.create(np.where(np.isin(np.arange(none.size), loop.cells), 0.0, np.nan).reshape(loop.shape))
     found = np.zeros((none.size, MOST_PASSES + 1), np.int64)
-    for other in (engine.until(7), engine.under(safe), engine.weighing(none, found)):
+    for other in (engine.truncated_at(7), engine.with_threat(safe), engine.with_cell_weights(none, found)):
         assert (other.lanes, other._devices) == (16, 1)
 
 

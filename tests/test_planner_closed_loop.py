@@ -114,7 +114,7 @@ def test_first_visit_checks_are_alike_and_kinder() -> None:
 def test_a_made_up_limit_ends_as_timeout() -> None:
     world = World.create(np.zeros((4, 6)))
     plan = make_plan(world, [[0, 0]])
-    tally, _ = run_range(compile_closed_loop(plan, world).until(5), 0, 0, 10)
+    tally, _ = run_range(compile_closed_loop(plan, world).truncated_at(5), 0, 0, 10)
     assert tally.outcomes[Outcome.STEP_LIMIT] == 10
     assert tally.visited[6] == 10
     assert tally.time[5] == 10

@@ -160,10 +160,10 @@ def test_compiled_counts_deadlines_and_other_truths() -> None:
         visits = visits + np.bincount(trace.cells[1:][moved], minlength=tally.visits.size)
     assert np.array_equal(tally.visits.ravel(), visits)
     assert run_range(loop, 3, 0, 150)[0] + run_range(loop, 3, 150, 250, threads=3)[0] == tally
-    cut = run_range(loop.until(20), 3, 0, 400)[0]
+    cut = run_range(loop.truncated_at(20), 3, 0, 400)[0]
     assert cut.new_visited.tolist() == tally.new_visited[: len(cut.new_visited)].tolist()
     safe = World.create(np.where(fixture.world.free, 0.0, np.nan))
-    unharmed = run_range(loop.under(safe), 3, 0, 1, singles=True)[1]
+    unharmed = run_range(loop.with_threat(safe), 3, 0, 1, singles=True)[1]
     assert unharmed is not None and unharmed.time[0] == plan.time
 
 

@@ -380,7 +380,7 @@ def test_robots_know_the_deadline_of_an_answer() -> None:
     assert told.tally == knows.tally and told.plan.settings == knows.plan.settings
     np.testing.assert_array_equal(told.plan.robots[0].path, knows.plan.robots[0].path)
     np.testing.assert_array_equal(told.tally.home, told.tally.alive)
-    cut_off, _ = run_range(compile_closed_loop(blind, world).until(30), 0, 0, 256)
+    cut_off, _ = run_range(compile_closed_loop(blind, world).truncated_at(30), 0, 0, 256)
     assert cut_off.home @ np.arange(4) < told.tally.home @ np.arange(4)
     trial = Trial(world, blind, choices)
     assert trial.sample(0, 256).tally.visited.tolist() == told.tally.visited.tolist()

@@ -143,7 +143,7 @@ def test_what_to_clear_is_everything_that_can_happen(world: World, choices: Roll
             assert one.unknown.cells.mean == pytest.approx(all_of(plan, cleared).visited - base.visited, abs=1e-5)
         else:  # the oracle of the closed loop has one map
             was = Trial(world, plan, SAMPLED)
-            old = was.under(cleared).sample(0, 60_000)
+            old = was.with_threat(cleared).sample(0, 60_000)
             assert close(one.unknown.cells, old.ahead(was.sample(0, 60_000), "visited"))
         gains.append(anew.visited)
     assert found.gain.cells.mean == pytest.approx(max(gains) - base.visited, abs=1e-5)

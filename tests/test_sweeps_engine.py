@@ -194,7 +194,7 @@ def test_parts_that_another_process_ran_meanwhile_are_run_again() -> None:
             if not stolen:  # now the other process writes ids that overlap ours
                 stolen.append(True)
                 team = Places().team(case)
-                wanted = tasks.Wanted(key, MODELS[0], ((50, 120),))
+                wanted = tasks.RunRequest(key, MODELS[0], ((50, 120),))
                 store.add(run_task(tasks.Task(case, team, (wanted,))))
             return found
 

@@ -34,7 +34,7 @@ def results_of(
     *ids: tuple[int, int], case: cases.Case = CASE, model: RolloutChoices | None = None
 ) -> list[cases.RunResult]:
     team, model = cases.Places().team(case), model or RolloutChoices(seed=5)
-    return cases.run_task(cases.Task(case, team, (cases.Wanted(cases.run_key(team, model), model, ids),)))
+    return cases.run_task(cases.Task(case, team, (cases.RunRequest(cases.run_key(team, model), model, ids),)))
 
 
 def key_of(case: cases.Case = CASE, model: RolloutChoices | None = None) -> str:

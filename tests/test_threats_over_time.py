@@ -92,7 +92,7 @@ def test_a_visit_is_survived_by_who_is_alive_at_the_end_of_its_step() -> None:
     world = moving_world(11)
     size = world.threat.size
     loop = compile_closed_loop(make_plan(world, place_starts(world, 3)[0]), world)
-    counted = loop.weighing(np.ones(size, dtype=np.int64), np.ones((size, MOST_PASSES + 1), dtype=np.int64))
+    counted = loop.with_cell_weights(np.ones(size, dtype=np.int64), np.ones((size, MOST_PASSES + 1), dtype=np.int64))
     found = run_range(counted, 4, 0, 40)[0].passes.reshape(size, MOST_PASSES)
     expected = np.zeros_like(found)
     for trace in trace_rollouts(loop, 4, range(40)):

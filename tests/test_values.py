@@ -100,18 +100,18 @@ def test_survived_visits_are_those_of_the_simulator_as_python(policy: str, robot
     plan = make_plan(world, fixture.starts[:robots], Settings(policy=policy))
     units = Units.of(CellValues.of(world))
     engine = make_engine(plan, world, Rolling(seed=3), "numba")
-    tally, singles = engine.weighing(units.covered, units.found).run(0, 12)
+    tally, singles = engine.with_cell_weights(units.covered, units.found).run(0, 12)
     passes = np.array([survived_visits(world, plan, 3, rollout) for rollout in range(12)])
     assert passes.max() > 3
     at_least = [(passes >= times).sum(axis=0) for times in range(1, MOST_PASSES + 1)]
     assert np.array_equal(tally.passes.reshape(-1, MOST_PASSES), np.stack(at_least, axis=1))
     cells = np.arange(passes.shape[1])
-    assert singles.worth_found.tolist() == units.found[cells, np.minimum(passes, MOST_PASSES)].sum(axis=1).tolist()
+    assert singles.value_found.tolist() == units.found[cells, np.minimum(passes, MOST_PASSES)].sum(axis=1).tolist()
     plain = engine.tally(0, 12)
     assert plain.passes.size == 0
     for name, counts in plain.counts().items():
         assert np.array_equal(counts, getattr(tally, name)), name
-    assert singles.worth_covered.sum() == (tally.covered_visited * units.covered).sum()
+    assert singles.value_covered.sum() == (tally.covered_visited * units.covered).sum()
 
 
 @pytest.mark.parametrize("policy", ["mrac", "per_cell"])
@@ -269,11 +269,11 @@ def means(world: World, plan: Plan, seed: int, samples: int = 1) -> list[list[Es
     """Value covered and found (up to MOST_PASSES visits), as `evaluate` states them: of so many times 1,024 rollouts,
     one after the other, and of them all."""
     units, robots = Units.of(CellValues.of(world)), len(plan.robots)
-    engine = make_engine(plan, world, Rolling(seed=seed), "numba").weighing(units.covered, units.found)
+    engine = make_engine(plan, world, Rolling(seed=seed), "numba").with_cell_weights(units.covered, units.found)
     results, classes = engine.results(0, samples * LEAST), classes_by_threshold(seed, 0, samples * LEAST, robots)
     told = []
     for own in [*(slice(start, start + LEAST) for start in range(0, samples * LEAST, LEAST)), slice(None)]:
-        pairs = [(column[own], classes[own]) for column in (results.worth_covered, results.worth_found)]
+        pairs = [(column[own], classes[own]) for column in (results.value_covered, results.value_found)]
         lucks = [CommonThresholds.of(robots, luck, column, column) for column, luck in pairs]
         told.append(
             [
@@ -288,9 +288,10 @@ def test_value_is_put_right_by_luck() -> None:
     """Least squares over single rollouts gives the same means and errors, with less spread than without."""
     world, plan = valued("contiguous", 0, 8)
     units = Units.of(CellValues.of(world))
-    results = make_engine(plan, world, Rolling(seed=3), "numba").weighing(units.covered, units.found).results(0, LEAST)
+    engine = make_engine(plan, world, Rolling(seed=3), "numba")
+    results = engine.with_cell_weights(units.covered, units.found).results(0, LEAST)
     total = (classes_by_threshold(3, 0, LEAST, 8) + 0.5) / CLASSES_A_NAT
-    for found, column in zip(means(world, plan, 3)[0], (results.worth_covered, results.worth_found), strict=True):
+    for found, column in zip(means(world, plan, 3)[0], (results.value_covered, results.value_found), strict=True):
         value = column / 2**40 * CellValues.of(world).total
         mean, error, _ = fitted(value, total, 8)
         assert (found.mean, found.se) == (pytest.approx(mean, rel=1e-7), pytest.approx(error, rel=1e-5))

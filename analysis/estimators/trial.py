@@ -170,11 +170,11 @@ def most_units(cells: int) -> int:
 
 
 def weigh(engine: Engine, world: World) -> Engine:
-    """The same engine; a closed loop with values also sums the units of visited cells: `worth_covered`."""
+    """The same engine; a closed loop with values also sums the units of visited cells: `value_covered`."""
     if world.value is None:
         return engine
     covered = np.rint(units_of(CellValues.of(world))).astype(np.int64)
-    return engine.weighing(covered, np.zeros((len(covered), MOST_PASSES + 1), dtype=np.int64))
+    return engine.with_cell_weights(covered, np.zeros((len(covered), MOST_PASSES + 1), dtype=np.int64))
 
 
 def mean_value(
@@ -373,7 +373,7 @@ class Sampled(_Compared):
     def column(self, figure: str) -> NDArray[np.int64]:
         """A figure of each rollout, int64 `[n]`; value in UNITS."""
         assert self.results is not None
-        own = {"value": "worth_covered", "lost": "alive"}.get(figure, figure)
+        own = {"value": "value_covered", "lost": "alive"}.get(figure, figure)
         found = getattr(self.results, own).astype(np.int64)
         return self.tally.robots - found if figure == "lost" else found
 
@@ -474,15 +474,15 @@ class Trial:
     def engine(self) -> Engine:
         """The engine, truncated at the deadline; in the closed loop it also sums visited value."""
         engine = self._whole if self.loop is None else weigh(self._whole, self.world)
-        return engine if self.choices.deadline is None else engine.until(self.choices.deadline)
+        return engine if self.choices.deadline is None else engine.truncated_at(self.choices.deadline)
 
-    def until(self, step: int | None) -> Trial:
+    def truncated_at(self, step: int | None) -> Trial:
         """The same trial, truncated at the end of `step`."""
         return Trial(self.world, self.plan, replace(self.choices, deadline=step), loop=self.loop)
 
-    def under(self, truth: World) -> Trial:
+    def with_threat(self, truth: World) -> Trial:
         """The same decisions, with the threats of `truth`, a map of the same cells."""
-        return Trial(truth, self.plan, self.choices, loop=self.loop and self.loop.under(truth))
+        return Trial(truth, self.plan, self.choices, loop=self.loop and self.loop.with_threat(truth))
 
     def known(self, share: float = 1.0) -> Known | None:
         """The exact result; None if it needs more than this `share` of the choices' exact seconds."""
@@ -494,7 +494,7 @@ class Trial:
     def open_loop(self) -> OpenLoopExact | None:
         """The open loop's exact values by the deadline; None in the closed loop."""
         end = self.choices.deadline
-        plan = self.plan if end is None else self.plan.until(end)
+        plan = self.plan if end is None else self.plan.truncated_at(end)
         return None if self.choices.loop == "closed" else open_loop_exact(plan, self.world)
 
     def stops(self, found: Measured) -> NDArray[np.float64]:
@@ -521,7 +521,7 @@ class Trial:
             value = None if self.world.value is None else (share, share)
             return KnownPaths(None, value, self.choices.metric, figures=figures)
         assert loop is not None
-        tree = tree_of(loop if end is None else loop.until(end), seconds)
+        tree = tree_of(loop if end is None else loop.truncated_at(end), seconds)
         if tree is None or (seconds == 0 and tree.counts.stops.any()):  # only if no robot can be lost
             return None
         if self.world.value is None:

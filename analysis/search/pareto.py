@@ -650,7 +650,7 @@ class _Search(Search):
         began, count = time.perf_counter(), self.choices.rollouts
         if self.settings.return_to is None:
             # Without a return to base the deadline changes no decision: one trial serves all cuts.
-            trial = self._trial(setting._replace(deadline=None)).until(setting.deadline)
+            trial = self._trial(setting._replace(deadline=None)).truncated_at(setting.deadline)
         else:  # The return depends on the deadline: a truncated mission is not the mission with that deadline.
             trial = self._trial(setting)
         found = trial.known(1 / SETTINGS_ABOUT) or trial.sample(start, count)

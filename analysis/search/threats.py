@@ -369,7 +369,7 @@ class ThreatSearch(Search):
         """Gain if the team keeps its plan."""
         # The rollouts of all threats together are limited, as each threat needs its own true map.
         count = min(self.choices.rollouts, max(ALL_UNKNOWN // threats, 2))
-        return self.gain(*alike([as_is, as_is.under(truth)], 0, count, 1 / threats))
+        return self.gain(*alike([as_is, as_is.with_threat(truth)], 0, count, 1 / threats))
 
     def _screens(self, world: World, threats: Sequence[Threat]) -> list[float]:
         """Cost of each threat to the policy-independent upper bound, in cells or in value."""

@@ -296,7 +296,7 @@ ONCE_UNDER_WAY: dict[str, Any] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Wanted:
+class RunRequest:
     """Rollout ids of one model to simulate: `key` of the run (`run_key`), the model, and the ids."""
 
     key: str
@@ -310,7 +310,7 @@ class Task:
 
     case: Case
     team: Team
-    wanted: tuple[Wanted, ...]
+    wanted: tuple[RunRequest, ...]
     ticket: int = 0
 
 
@@ -348,7 +348,7 @@ def run_tasks(tasks: list[Task]) -> list[list[RunResult]]:
     return [run_task(task) for task in tasks]
 
 
-def _tasks_run(wanted: Wanted, task: Task, loops: _Loops) -> RunResult:
+def _tasks_run(wanted: RunRequest, task: Task, loops: _Loops) -> RunResult:
     from planner.rollouts.engine import run_with_threshold_sums
 
     engine = loops.of(wanted.model)

@@ -216,14 +216,14 @@ class _Run:
             for part in split:
                 yield cases.Task(job.case, team, part, ticket)
 
-    def _wanted(self, job: Job, team: cases.Team, model: RolloutChoices) -> cases.Wanted:
+    def _wanted(self, job: Job, team: cases.Team, model: RolloutChoices) -> cases.RunRequest:
         key = cases.run_key(team, model)
         missing = self.store.missing(key, 0, job.rollouts)
         held = job.rollouts - sum(stop - start for start, stop in missing)
         if held:
             self.reused += held
             self.store.label(key, cases.labels_of(job.case, team, model))
-        return cases.Wanted(key, model, missing)
+        return cases.RunRequest(key, model, missing)
 
     def take(self, task: cases.Task, results: list[cases.RunResult]) -> None:
         """Store a task's results; finish its job after its last task."""
@@ -260,9 +260,9 @@ def share_of(team: cases.Team) -> int:
     return share // BLOCK * BLOCK if share >= BLOCK else max(share, LEAST_SHARE)
 
 
-def _split(wanted: list[cases.Wanted], share: int) -> list[tuple[cases.Wanted, ...]]:
+def _split(wanted: list[cases.RunRequest], share: int) -> list[tuple[cases.RunRequest, ...]]:
     """The wanted ids in tasks of at most `share` for each model, cut at multiples of `share`."""
-    tasks: dict[int, list[cases.Wanted]] = {}
+    tasks: dict[int, list[cases.RunRequest]] = {}
     for each in wanted:
         for number, ids in groupby(cut(each.ids, share), lambda part: part[0] // share):
             tasks.setdefault(number, []).append(replace(each, ids=tuple(ids)))

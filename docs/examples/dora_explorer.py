@@ -58,7 +58,7 @@ def ours(maps: list[mrac.World], settings: mrac.Settings, starts: int, rollouts:
         for seed in range(starts):
             placed = random.integers(2, 15, (ROBOTS, 2))  # theirs begin anywhere within 6 m of the middle, each way
             plan = make_plan(world, placed, settings)
-            engine = make_engine(plan, world.with_starts(placed), Rolling(seed=seed), "numba").until(DEADLINE)
+            engine = make_engine(plan, world.with_starts(placed), Rolling(seed=seed), "numba").truncated_at(DEADLINE)
             results = engine.results(0, rollouts)
             found.append([results.visited.mean(), results.alive.mean()])
     return np.reshape(found, (MAPS, starts, 2)).mean(axis=1)

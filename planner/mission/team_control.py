@@ -162,8 +162,8 @@ class Fleet(SingleRun):
         s.marks.progress, decided = 1, me.next if step > 0 else me.cell
         cell = decided if cell is None else cell
         if self.p is not None:
-            # Before the cell is marked as visited: afterwards it is updated no more.
-            s.marks.changes += interpreted("replanning").updates_map(s, number, cell)
+            # Before the cell is marked as visited: afterwards it is no cell to do.
+            s.marks.changes += interpreted("replanning").visits_other_area(s, number, cell)
             s.home[cell] = int(s.home[cell]) & ~TO_DO
         interpreted("visits").enter(self.t, s, self.c, self.w, self.log, self.how, self.ids, step, number, cell, 1)
 

@@ -228,7 +228,7 @@ class Plan:
             raise PlanError(f"plan for another map: made for {made}", expected=expected)
         return self.settings or self._own
 
-    def until(self, step: int) -> Plan:
+    def truncated_at(self, step: int) -> Plan:
         """The plan truncated at the end of `step`: open-loop rollouts are the first steps of the whole plan's."""
         robots = tuple(RobotPlan(robot.path[: step + 1]) for robot in self.robots)
         return replace(self, settings=None, areas=(), areas_added=(), robots=robots, failures=self.failure_model)

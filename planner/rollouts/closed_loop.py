@@ -36,7 +36,7 @@ SINGLE_FILE = 64
 """Rollouts that a thread takes at a time if it runs them one by one."""
 OF_SINGLES = ("visited", "survived", "time", "alive", "outcome", "bisected", "divided", "home", "delivered")
 """Columns of `Singles.numbers`, as fields of `RolloutResults`."""
-OF_VALUES = "worth_covered", "worth_found"
+OF_VALUES = "value_covered", "value_found"
 TIME, OUTCOME = map(OF_SINGLES.index, ("time", "outcome"))
 
 

@@ -100,7 +100,7 @@ def closed_loop_gradient(
         raise WorldError(f"p: {given[row, col]} at [{row}, {col}]", expected="0 <= p < 1 in every free cell")
     # Decisions stay those of the plan's map: only the threats are exchanged.
     truth = World.create(np.where(world.free, given, np.nan))
-    loop = compile_closed_loop(plan, world).under(truth).scoring()
+    loop = compile_closed_loop(plan, world).with_threat(truth).scoring()
     if exact:
         return _gradient(loop, truth, _tree_sums(loop)[None], 0)
     if rollouts < 16 * BLOCKS:

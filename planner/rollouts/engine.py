@@ -66,21 +66,21 @@ class Engine(ABC):
     def rolling(self, loop: Any) -> Engine:
         """The engine of another loop, with the same seed and back end."""
 
-    def until(self, step: int) -> Engine:
+    def truncated_at(self, step: int) -> Engine:
         """The same rollouts truncated at the end of `step`."""
-        return self.rolling(self.loop.until(step))
+        return self.rolling(self.loop.truncated_at(step))
 
-    def under(self, truth: World) -> Engine:
+    def with_threat(self, truth: World) -> Engine:
         """The same decisions under the threats of `truth`, a map of the same cells."""
-        return self.rolling(self.loop.under(truth))
+        return self.rolling(self.loop.with_threat(truth))
 
-    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> Engine:
-        """The same closed-loop rollouts with survived visits counted and values summed up (`ClosedLoop.weighing`).
+    def with_cell_weights(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> Engine:
+        """The same closed-loop rollouts with survived visits counted and values summed up.
 
         Raises:
             UsageError: an open loop, whose values are exact.
         """
-        return self.rolling(self.loop.weighing(covered, found))
+        return self.rolling(self.loop.with_cell_weights(covered, found))
 
 
 # A closed loop in which no robot can be lost: every rollout is the nominal run, which the plan holds.
@@ -171,9 +171,9 @@ class NominalRun(Engine):
         once = PythonLoop(self.plan, self.world).trace(self.seed, 0)
         return (replace(once, rollout=rollout) for rollout in rollouts)
 
-    def until(self, step: int) -> NominalRun:
+    def truncated_at(self, step: int) -> NominalRun:
         """The same rollouts truncated at the end of `step`."""
-        return NominalRun(self.world, self.plan, self.loop.until(step), self.seed, self._make_full)
+        return NominalRun(self.world, self.plan, self.loop.truncated_at(step), self.seed, self._make_full)
 
 
 # A rollout is a pure function of (plan, seed, id): chunk size, engine, threads and devices cannot change a count.
@@ -321,7 +321,7 @@ class OpenLoop(Engine):
         """The engine of another plan, with the same seed and back end."""
         return OpenLoop(loop, self.seed, self.name, self._make_kernel)
 
-    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> OpenLoop:
+    def with_cell_weights(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> OpenLoop:
         """Not supported: `analysis.theory.exact` has the exact value.
 
         Raises:

@@ -72,7 +72,7 @@ NO_COUNTS = np.zeros(0, dtype=np.int64)
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """Values of cells, summed up in each rollout: `RolloutResults.worth_covered` and `worth_found`.
+    """Values of cells, summed up in each rollout: `RolloutResults.value_covered` and `value_found`.
 
     Attributes:
         covered: int64 `[A]`, value of each visited cell.
@@ -230,7 +230,7 @@ class ClosedLoop:
         key = tally_key(self.identity, "closed", seed)
         return Tally.empty(key, self.shape, self.robots, self.accessible)
 
-    def until(self, step: int) -> ClosedLoop:
+    def truncated_at(self, step: int) -> ClosedLoop:
         """The closed loop truncated at the end of `step`: its rollouts are the first steps of the whole ones.
 
         Raises:
@@ -241,7 +241,7 @@ class ClosedLoop:
         cut = min(step, self.max_steps)
         return replace(self, identity=f"{self.identity}@{cut}", max_steps=cut)
 
-    def under(self, world: World) -> ClosedLoop:
+    def with_threat(self, world: World) -> ClosedLoop:
         """The same decisions under the threats of `world`, a map of the same cells."""
         kinds = kinds_of(world, self.failure_model.types, self.robots)
         tables = self.tables._replace(**visit_tables(kinds, self.cells))
@@ -253,7 +253,7 @@ class ClosedLoop:
         """The same rollouts, counted also for `planner.rollouts.coverage_gradient`."""
         return replace(self, identity=f"{self.identity}#scores", tables=self.tables._replace(scores=True))
 
-    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> ClosedLoop:
+    def with_cell_weights(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> ClosedLoop:
         """The same rollouts with survived visits counted and values summed up.
 
         Args:

@@ -92,11 +92,11 @@ class CompiledPlan:
         hazards = [failure_model.fresh(np.cumsum(own[k].exposures[0][each]), k) for k, each in enumerate(visits)]
         return [least_word(one).astype(np.uint64) for one in hazards]
 
-    def until(self, step: int) -> CompiledPlan:
+    def truncated_at(self, step: int) -> CompiledPlan:
         """The plan truncated at the end of `step`."""
-        return compile_plan(self.plan.until(step), self.world)
+        return compile_plan(self.plan.truncated_at(step), self.world)
 
-    def under(self, truth: World) -> CompiledPlan:
+    def with_threat(self, truth: World) -> CompiledPlan:
         """The same paths under the threats of `truth`, a map of the same cells."""
         return compile_plan(replace(self.plan, sha256=truth.sha256), truth)
 

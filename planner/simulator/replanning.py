@@ -236,7 +236,7 @@ def notices(t, p, s, robot):
 
 
 @kernel
-def updates_map(s, robot, cell):
+def visits_other_area(s, robot, cell):
     """Whether the robot, entering the cell, visits a cell to do in another area than its own."""
     home = np.int64(s.home[cell])
     return home & VISITED == 0 and home >> AREA_BITS != s.robots[robot].area

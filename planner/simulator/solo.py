@@ -10,7 +10,7 @@ from .codes import COVERING, FOLLOWING, NONE, TRAVELING
 from .failure_sampling import fresh
 from .jit import kernel
 from .paths import adjacent, go_on, next_leg, set_out_far, to_do_in
-from .replanning import notices, updates_map
+from .replanning import notices, visits_other_area
 from .robot_types import own
 from .state import AREA_BITS, ONE, SURVIVED, TO_DO, VISITED, lowest_bit
 from .visits import count_new
@@ -124,7 +124,7 @@ def walk_watching(t, p, s, c, w, how, robot, step, size):
             if s.areas[home >> AREA_BITS].left == 1:
                 break
             s.areas[home >> AREA_BITS].left -= 1
-            s.marks.changes += updates_map(s, robot, cell)
+            s.marks.changes += visits_other_area(s, robot, cell)
             home |= VISITED | SURVIVED
             count_new(s, c, step + 1, cell, size)
         step += 1

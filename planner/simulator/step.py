@@ -36,7 +36,7 @@ from .jit import kernel, rare_kernel
 from .map_belief import clear_changes, recall, revise, update_belief, update_map
 from .moving_threats import has_entered, is_meeting, meet
 from .next_area import could_go_on
-from .replanning import begin, goes_on, passes, updates_map
+from .replanning import begin, goes_on, passes, visits_other_area
 from .return_home import count_at_base, end_range, is_away, move_to_base, start_returns, stay
 from .robot_types import came_back, on_turn, own_turn
 from .solo import only_moving_robot, walk_alone
@@ -105,7 +105,7 @@ def advance(t, p, s, c, w, log, how, ids):
             cell = np.int64(robots[robot].next if step > 0 else robots[robot].cell)
             if p is not None:
                 # A visit in another robot's area makes that area a worse offer: cached offers are void.
-                group.changes += updates_map(s, robot, cell)
+                group.changes += visits_other_area(s, robot, cell)
                 s.home[cell] = np.int64(s.home[cell]) & ~TO_DO
             if p is not None or step == 0 or cell != robots[robot].cell:
                 verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)

@@ -298,11 +298,13 @@ class Units:
 
     def roll_out(self, run: Run) -> tuple[Tally, tuple[NDArray[np.int64], NDArray[np.int64]]]:
         """Rerun the evaluation's ids: a tally with survived visits, and units covered and found, int64 `[B]` each."""
-        engine = make_engine_for(run.world, run.plan, run.choices, kept=run.kept).weighing(self.covered, self.found)
+        engine = make_engine_for(run.world, run.plan, run.choices, kept=run.kept).with_cell_weights(
+            self.covered, self.found
+        )
         tally, parts, seconds, count = None, [], 0.0, run.last.tally.rollouts
         for start, size, (part, singles), took in run_ranges(engine.run, 0, count, unit=engine.least):
             tally, seconds = part if tally is None else tally + part, seconds + took
-            parts.append((singles.worth_covered, singles.worth_found))
+            parts.append((singles.value_covered, singles.value_found))
             run.progress(start + size, count, seconds)
         assert tally is not None
         covered, found = (np.concatenate(column) for column in zip(*parts, strict=True))

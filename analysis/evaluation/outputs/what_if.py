@@ -396,7 +396,7 @@ def _of_drawn(run: Run, uncertainty: Uncertain, maps: int) -> Components:
     engine = make_engine_for(run.world, run.plan, run.choices, kept=run.kept)
     values = np.empty((maps, EACH))
     for place, threat in enumerate(_drawn(run, uncertainty, maps)):
-        one = engine.under(replace(run.world, threat=threat, uncertainty=None))
+        one = engine.with_threat(replace(run.world, threat=threat, uncertainty=None))
         values[place] = one.results(place * EACH, EACH).visited / run.last.tally.accessible
         of_things(run.progress, "maps")(place + 1, maps, 0.0)
     return of_means(values.mean(axis=1), values.var(axis=1, ddof=1), EACH, 1.0)
