@@ -398,20 +398,14 @@ def paper_checks(plan: Plan, world: World, exact: OpenLoopExact, bounds: Bounds)
     """
     if plan.state is not None:
         return []
-    cells = float(world.accessible(plan.starts).sum())
+    cells, left = float(world.accessible(plan.starts).sum()), Truth.known(exact.some_left)
     return [
-        *_survival_checks(exact, bounds),
+        make_check("eq2_printed", bounds.eq2_printed, left, "open", 1.0),
+        make_check("eq2_event", bounds.team_survival, left, "open", 1.0),
         *_alone_checks(plan, world, bounds, cells),
         *_theorem3_checks(bounds, {m: Truth.known(getattr(exact, m)) for m in MEANINGS}, "open", cells),
         *_ideal_checks(bounds, Truth.known(exact.visited), "open", cells),
     ]
-
-
-def _survival_checks(exact: OpenLoopExact, bounds: Bounds) -> Iterator[Check]:
-    """Eq. (2) against the distribution of the number of surviving robots."""
-    left = Truth.known(exact.some_left)
-    yield make_check("eq2_printed", bounds.eq2_printed, left, "open", 1.0)
-    yield make_check("eq2_event", bounds.team_survival, left, "open", 1.0)
 
 
 def _alone_checks(plan: Plan, world: World, bounds: Bounds, cells: float) -> Iterator[Check]:
@@ -521,13 +515,9 @@ def nominal_checks(plan: Plan, world: World, alone: Plan | None) -> list[Check]:
     seen = np.unique(np.concatenate([robot.path for robot in plan.robots]))
     missed = len(np.setdiff1d(accessible, seen))
     checks = [make_check("theorem1", len(accessible), Truth.known(len(accessible) - missed), "nominal", np.inf)]
-    reached = alone is not None and world.accessible(alone.starts).sum() == len(accessible)
-    if (
-        alone is not None
-        and reached
-        and not plan.comes_home
-        and (alone.outcome, plan.outcome) == ("complete", "complete")
-    ):
+    if alone is None or plan.comes_home or world.accessible(alone.starts).sum() != len(accessible):
+        return checks
+    if (alone.outcome, plan.outcome) == ("complete", "complete"):
         took = Truth.known(float(plan.makespan))
         checks.append(make_check("theorem4_least", alone.makespan / len(plan.robots), took, "nominal", np.inf))
         checks.append(make_check("theorem4_most", float(alone.makespan), took, "nominal", np.inf))
@@ -546,9 +536,9 @@ def longest_mission(world: World, starts: ArrayLike, settings: Settings, given: 
     """T_max of the closed loop of robots at `starts` `[K, 2]`, in steps; `given`: steps of external paths."""
     checked = check_starts(starts, world.met, world.source)
     unknown = unknown_map_of(world, checked, settings.levels)
-    levels = (
-        find_levels(world.threat, world.accessible(checked), settings.levels) if unknown is None else unknown.dearest
-    )
+    if unknown is not None:
+        return most_steps(settings, unknown.dearest, given)
+    levels = find_levels(world.threat, world.accessible(checked), settings.levels)
     return most_steps(settings, levels, given)
 
 
