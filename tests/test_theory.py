@@ -540,8 +540,7 @@ def test_a_walk_is_held_to_one_order_of_two_rooms() -> None:
 @pytest.mark.usefixtures("full_effort")
 def test_ways_are_what_makes_it_sharp() -> None:
     """2 points or more on the map of the other test, and whoever asks for none has the rest."""
-    world = random_world(pattern=ThreatPattern(kind="scattered", seed=0))
-    starts = place_starts(world, 4)[0]
+    starts = place_starts(world := random_world(pattern=ThreatPattern(kind="scattered", seed=0)), 4)[0]
     with_ways, without = (any_strategy(world, starts, ways=ways).flow for ways in (True, False))
     assert with_ways < without - 0.02 * world.accessible(starts).sum()
 
@@ -561,7 +560,7 @@ def test_most_stopped_is_the_expectation_rounded_up() -> None:
 
 def test_unasked_on_a_larger_map_in_fewer_rounds_and_not_among_many_dangers(monkeypatch: pytest.MonkeyPatch) -> None:
     rounds: list[int] = []
-    monkeypatch.setattr("analysis.theory.upper_bound.flow_bound", lambda nodes, most, ways: rounds.append(most) or 0.0)
+    monkeypatch.setattr("analysis.theory.upper_bound.flow_bound", lambda nodes, most, *_: rounds.append(most) or 0.0)
     for side, danger in ((20, 0.1), (30, 0.1), (40, 0.1), (40, 0.0)):
         for flow in (None, True):
             any_strategy(World.create(np.full((side, side), danger)), [[0, 0]] * 2, flow)

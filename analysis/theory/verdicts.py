@@ -117,7 +117,7 @@ FORMULAS = {
     "any_strategy": _ours("policy-independent bound", "certified", "upper bound on coverage, every strategy", UPPER),
     "optimum": _ours("optimum", "of every strategy", "coverage of the best strategy", UPPER),
     **{
-        f"corrected_{form}": _ours(
+        f"mended_{form}": _ours(
             "Theorem 3 corrected", reading, "lower bound on coverage, the team, corrected", LOWER, loops=OPEN
         )
         for form, reading in (("count", "counts"), ("largest", "chances"), ("spread", "spread"))
@@ -204,7 +204,7 @@ def exact_truth(plan: Plan, world: World, exact: OpenLoopExact, first_only: bool
     stated = None if _is_cut_off(plan) else Truth.known(1.0)
     left, alive = Truth.known(exact.some_left), float(exact.survival.sum())
     # A run that ends early waits first; the wait is known only for one robot among moving threats.
-    ends = world.moving_threats is not None or (plan.state is None and plan.outcome == Outcome.COMPLETE.word)
+    ends = world.movers is not None or (plan.state is None and plan.outcome == Outcome.COMPLETE.word)
     time = exact.mean_time if ends else None
     return ClosedTruth(Truth.known(exact.visited), Truth.known(exact.survived), left, stated, 0, alive, time)
 
@@ -398,20 +398,14 @@ def paper_checks(plan: Plan, world: World, exact: OpenLoopExact, bounds: Bounds)
     """
     if plan.state is not None:
         return []
-    cells = float(world.accessible(plan.starts).sum())
+    cells, left = float(world.accessible(plan.starts).sum()), Truth.known(exact.some_left)
     return [
-        *_survival_checks(exact, bounds),
+        make_check("eq2_printed", bounds.eq2_printed, left, "open", 1.0),
+        make_check("eq2_event", bounds.team_survival, left, "open", 1.0),
         *_alone_checks(plan, world, bounds, cells),
         *_theorem3_checks(bounds, {m: Truth.known(getattr(exact, m)) for m in MEANINGS}, "open", cells),
         *_ideal_checks(bounds, Truth.known(exact.visited), "open", cells),
     ]
-
-
-def _survival_checks(exact: OpenLoopExact, bounds: Bounds) -> Iterator[Check]:
-    """Eq. (2) against the distribution of the number of surviving robots."""
-    left = Truth.known(exact.some_left)
-    yield make_check("eq2_printed", bounds.eq2_printed, left, "open", 1.0)
-    yield make_check("eq2_event", bounds.team_survival, left, "open", 1.0)
 
 
 def _alone_checks(plan: Plan, world: World, bounds: Bounds, cells: float) -> Iterator[Check]:
@@ -463,11 +457,11 @@ def own_bounds(plan: Plan, world: World, bounds: Bounds, limit: AnyStrategy) -> 
     `limit`: the bounds for every strategy. Bounds that were not computed, and an optimum that is too expensive, are
     omitted.
     """
-    corrected, calm = corrected_theorem3(plan, world), until_first_loss(plan, world)
+    mended, calm = corrected_theorem3(plan, world), until_first_loss(plan, world)
     values: OwnBounds = {}
     for meaning in MEANINGS:
         for form in ("count", "largest", "spread"):
-            values[f"corrected_{form}", meaning] = getattr(getattr(corrected, meaning), form)
+            values[f"mended_{form}", meaning] = getattr(getattr(mended, meaning), form)
         values["until_first_loss", meaning] = getattr(calm, meaning)
         values["eq4_sum", meaning] = sum(getattr(gain, meaning) for gain in bounds.eq4)
     values["ideal_connected", "visited"] = limit.connected
@@ -521,13 +515,9 @@ def nominal_checks(plan: Plan, world: World, alone: Plan | None) -> list[Check]:
     seen = np.unique(np.concatenate([robot.path for robot in plan.robots]))
     missed = len(np.setdiff1d(accessible, seen))
     checks = [make_check("theorem1", len(accessible), Truth.known(len(accessible) - missed), "nominal", np.inf)]
-    reached = alone is not None and world.accessible(alone.starts).sum() == len(accessible)
-    if (
-        alone is not None
-        and reached
-        and not plan.comes_home
-        and (alone.outcome, plan.outcome) == ("complete", "complete")
-    ):
+    if alone is None or plan.comes_home or world.accessible(alone.starts).sum() != len(accessible):
+        return checks
+    if (alone.outcome, plan.outcome) == ("complete", "complete"):
         took = Truth.known(float(plan.makespan))
         checks.append(make_check("theorem4_least", alone.makespan / len(plan.robots), took, "nominal", np.inf))
         checks.append(make_check("theorem4_most", float(alone.makespan), took, "nominal", np.inf))
@@ -546,9 +536,9 @@ def longest_mission(world: World, starts: ArrayLike, settings: Settings, given: 
     """T_max of the closed loop of robots at `starts` `[K, 2]`, in steps; `given`: steps of external paths."""
     checked = check_starts(starts, world.met, world.source)
     unknown = unknown_map_of(world, checked, settings.levels)
-    levels = (
-        find_levels(world.threat, world.accessible(checked), settings.levels) if unknown is None else unknown.highest
-    )
+    if unknown is not None:
+        return most_steps(settings, unknown.highest, given)
+    levels = find_levels(world.threat, world.accessible(checked), settings.levels)
     return most_steps(settings, levels, given)
 
 
