@@ -204,15 +204,10 @@ class Stage:
 
     def area_maps(self, trace: Trace) -> Iterator[AreaMap]:
         """The areas at the end of step 0 and of every later step that changes them; empty without areas."""
-        if self.rearranges:
+        if self.loop == "closed" and ready_loop(self.plan, self.world)[0].learns:  # map updates may make new areas
             loop = PythonLoop(self.plan, self.world, first_only=self.first_only)
             return learned_maps(loop.runs(self.seed, trace.rollout))
         return area_maps(trace, self.areas, self.plan.state) if self.areas else iter(())
-
-    @property
-    def rearranges(self) -> bool:
-        """Whether robots may create new areas from map updates."""
-        return self.loop == "closed" and ready_loop(self.plan, self.world)[0].learns
 
     def discovery(self, trace: Trace) -> Discovery | None:
         """The team's map knowledge in a rollout; None if it learns nothing."""
