@@ -217,7 +217,7 @@ class Stage:
     def learns(self) -> bool:
         """Whether robots update the map by a sensor; on fixed paths they do not."""
         known = self.world.knowledge
-        return self.loop == "closed" and known is not None and known.sense.range > 0
+        return self.loop == "closed" and known is not None and known.sensor.range > 0
 
 
 # Colours of recordings: distinct, and bright enough for the dark backgrounds of viewers.
@@ -279,7 +279,7 @@ def layout_json(world: World, robots: int) -> str:
         panels[name]["cameraState"].update(camera)
     largest = max(float(np.nanmax(layer, initial=0.0)) for layer in (world.threat, world.by_phase))
     panels["3D!threat"]["topics"]["/map/threat"]["maxValue"] = max(largest, 1e-6)
-    if world.knowledge is not None and world.knowledge.sense.range > 0:
+    if world.knowledge is not None and world.knowledge.sensor.range > 0:
         _show_truth(layout)
     panels["Plot!alive"]["maxYValue"] = robots
     panels["StateTransitions!doing"]["paths"] = [
