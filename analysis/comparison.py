@@ -278,7 +278,7 @@ def _traits(side: Side, with_settings: bool) -> dict[str, str]:
     found = {
         "map": f"map {side.world.source}",
         "map uncertainty": "a certain map" if uncertainty is None else uncertainty.description,
-        "knowledge": "known map" if known is None else known.sense.description,
+        "knowledge": "known map" if known is None else known.sensor.description,
         "robots": counted(len(plan.robots), "robot"),
         "plan": f"{'a' if plan.for_open_loop else 'an'} {plan.origin}",
         "loop": "open loop" if choices.loop == "open" else "closed loop",

@@ -35,7 +35,7 @@ from planner.simulator.state import ALARM, SILENCE
 from planner.simulator.thresholds import threefry2x32
 from planner.tally import Trace
 from planner.world.generate import Stream, ThreatPattern, random_world
-from planner.world.map_knowledge import NAT, Sense, chance_of
+from planner.world.map_knowledge import NAT, Sensor, chance_of
 from planner.world.scenario import load_input
 from planner.world.start_rule import place_starts
 from planner.world.uncertain_maps import bounds_of
@@ -99,11 +99,11 @@ SCRIPTS = pytest.mark.parametrize("most", [0, pytest.param(1, marks=pytest.mark.
 
 @SCRIPTS
 @pytest.mark.parametrize("number", range(len(MAPS)))
-@pytest.mark.parametrize(("name", "sense"), [("1", 1), ("2", 2), ("2.5 sight", {"range": 2.5, "sight": True})])
-def test_every_scripted_run_is_that_of_a_twin_written_from_the_rules(number, name, sense, most):
+@pytest.mark.parametrize(("name", "sensor"), [("1", 1), ("2", 2), ("2.5 sight", {"range": 2.5, "sight": True})])
+def test_every_scripted_run_is_that_of_a_twin_written_from_the_rules(number, name, sensor, most):
     (believed, truth), runs = map(np.array, MAPS[number]), []
     for one, other in ((believed, truth), (truth, believed)):
-        world, free = World.create(one).with_true_map(other, sense), np.argwhere(~np.isnan(other))
+        world, free = World.create(one).with_true_map(other, sensor), np.argwhere(~np.isnan(other))
         for starts in (free[[0, -1]], free[[0, 0]]):
             loop = compile_closed_loop(make_plan(world, starts), world, interpreted=True)
             hits = [Script(other > 0, stops).hit for stops in (STOPS[::3], STOPS)[most]]
@@ -124,8 +124,8 @@ def drawn(number, stream):
         believed.flat[0] = 0.1
     free = np.argwhere(~np.isnan(truth))
     starts = free[[stream.below(len(free)) for _ in range(1 + stream.below(5))]]
-    sense = {"range": (1, 1.5, 2, 3)[stream.below(4)], "sight": stream.below(2) == 1}
-    return believed, truth, starts, sense
+    sensor = {"range": (1, 1.5, 2, 3)[stream.below(4)], "sight": stream.below(2) == 1}
+    return believed, truth, starts, sensor
 
 
 POLICIES_UNKNOWN: tuple[dict[str, Any], ...] = (
@@ -138,8 +138,8 @@ POLICIES_UNKNOWN: tuple[dict[str, Any], ...] = (
 def fuzz(number):
     """One run in a drawn world ends as Theorem 2 says."""
     stream = Stream(number, 1515)
-    believed, truth, starts, sense = drawn(number, stream)
-    world = World.create(believed).with_true_map(truth, sense)
+    believed, truth, starts, sensor = drawn(number, stream)
+    world = World.create(believed).with_true_map(truth, sensor)
     settings = Settings(**POLICIES_UNKNOWN[number % len(POLICIES_UNKNOWN)])
     if number % 5 == 0:
         settings = replace(settings, range=4 + stream.below(12))
@@ -157,7 +157,7 @@ def fuzz(number):
         trace = run.trace
         looked = np.unique(trace.cells[trace.doing != Doing.DEAD])
         seen = np.zeros(accessible.size, dtype=np.bool_)
-        seen[world.knowledge.sense.views(world.knowledge.free, looked)[1]] = True
+        seen[world.knowledge.sensor.views(world.knowledge.free, looked)[1]] = True
         known = np.where(seen, world.met.ravel(), world.threat.ravel()).reshape(world.shape)
         # of what is known in the end, whoever is left can reach nothing that is unvisited
         in_reach = World.create(known).accessible(np.stack(divmod(trace.cells[-1][run.alive], world.shape[1]), axis=1))
@@ -175,8 +175,8 @@ def test_who_believes_the_truth_runs_as_told(policy):
     told = random_world(12, 12, ThreatPattern(seed=3))
     starts, _ = place_starts(told, 4)
     plan = make_plan(told, starts, Settings(policy=policy))
-    for sense in (0, 1, {"range": 4, "sight": True}, inf):
-        world = told.with_true_map(told.threat, sense)
+    for sensor in (0, 1, {"range": 4, "sight": True}, inf):
+        world = told.with_true_map(told.threat, sensor)
         assert make_plan(world, starts, plan.settings).to_json() == plan.to_json()
         mine, theirs = (trace_rollouts(compile_closed_loop(plan, one), 7, range(5)) for one in (world, told))
         assert mine == theirs
@@ -235,14 +235,14 @@ def test_a_corner_that_is_touched_hides_nothing_and_a_crossed_cell_does():
     free = np.ones((3, 4), dtype=np.bool_)
     free[0, 1] = free[1, 0] = free[1, 2] = False
 
-    def seen(sense, cell):
-        return set(sense.views(free, np.array([cell]))[1].tolist())
+    def seen(sensor, cell):
+        return set(sensor.views(free, np.array([cell]))[1].tolist())
 
-    assert {5, 1, 4} <= seen(Sense(3, True), 0)  # past two obstacles that meet in a corner; obstacles themselves too
-    assert not {2, 3, 8} & seen(Sense(3, True), 0)
-    assert seen(Sense(3, False), 0) == {0, 1, 2, 3, 4, 5, 6, 8, 9, 10}
-    assert seen(Sense(1.4, False), 5) == {1, 4, 5, 6, 9}
-    assert seen(Sense(1.5, False), 5) == {0, 1, 2, 4, 5, 6, 8, 9, 10}
+    assert {5, 1, 4} <= seen(Sensor(3, True), 0)  # past two obstacles that meet in a corner; obstacles themselves too
+    assert not {2, 3, 8} & seen(Sensor(3, True), 0)
+    assert seen(Sensor(3, False), 0) == {0, 1, 2, 3, 4, 5, 6, 8, 9, 10}
+    assert seen(Sensor(1.4, False), 5) == {1, 4, 5, 6, 9}
+    assert seen(Sensor(1.5, False), 5) == {0, 1, 2, 4, 5, 6, 8, 9, 10}
 
 
 def crosses(start, end, cell):
@@ -278,7 +278,7 @@ def test_sight_is_that_of_a_walk_along_the_segment(radius):
                 if tuple(wall) not in (at, (row, col))
             )
         }
-        assert set(Sense(radius, True).views(free, np.array([source]))[1].tolist()) == expected
+        assert set(Sensor(radius, True).views(free, np.array([source]))[1].tolist()) == expected
 
 
 # --- what is refused ---
@@ -304,16 +304,16 @@ def test_a_world_file_keeps_what_robots_are_not_told(tmp_path):
     world = random_world(6, 6, ThreatPattern(seed=2)).with_prior_map(0.1, sensor_range={"range": 2, "sight": True})
     world.save(tmp_path / "w.npz")
     again = load_input(tmp_path / "w.npz")
-    assert again.randomness_sha256 == world.randomness_sha256 and again.knowledge.sense == Sense(2, True)
-    for sense in (2, 3):
-        assert world.with_sensor_range(sense).randomness_sha256 != world.randomness_sha256
+    assert again.randomness_sha256 == world.randomness_sha256 and again.knowledge.sensor == Sensor(2, True)
+    for sensor in (2, 3):
+        assert world.with_sensor_range(sensor).randomness_sha256 != world.randomness_sha256
 
 
 # Robots that are not told the map: counts, and the tree.
 
 
-def paper_like(policy="mrac", sense=2, side=12, robots=4, **more):
-    world = random_world(side, side, ThreatPattern(seed=5)).with_prior_map(0.04, sensor_range=sense)
+def paper_like(policy="mrac", sensor=2, side=12, robots=4, **more):
+    world = random_world(side, side, ThreatPattern(seed=5)).with_prior_map(0.04, sensor_range=sensor)
     starts, _ = place_starts(world, robots)
     return world, make_plan(world, starts, Settings(policy=policy, **more))
 
@@ -350,7 +350,7 @@ def test_robots_that_are_told_look_ahead_at_nothing():
 
 
 def test_a_tree_of_what_robots_learn_is_what_rollouts_come_to():
-    world, plan = paper_like(side=9, robots=2, sense=1)
+    world, plan = paper_like(side=9, robots=2, sensor=1)
     loop = compile_closed_loop(plan, world)
     tree = grow_tree(loop, 1e-3, 10**7)
     low, high = tree.covered("visited")
@@ -380,7 +380,9 @@ def test_what_a_sensor_is_worth():
 
 def test_knowledge_is_part_of_the_identity_and_jax_says_no():
     world, plan = paper_like()
-    loops = [compile_closed_loop(plan, world.with_sensor_range(sense)) for sense in (2, 3, {"range": 2, "sight": True})]
+    loops = [
+        compile_closed_loop(plan, world.with_sensor_range(sensor)) for sensor in (2, 3, {"range": 2, "sight": True})
+    ]
     assert len({loop.identity for loop in loops}) == 3
     assert make_engine(plan, world, Rolling(), "numba").accessible == loops[0].accessible
     pytest.importorskip("jax")
@@ -416,7 +418,7 @@ def as_seen(trace: Trace, world: World, plan: Plan) -> Believed:
 
     def look(robots: list[int]) -> None:
         for place in np.stack(np.divmod(robots, world.shape[1]), axis=1):
-            seen = ((cells - place[:, None]) ** 2).sum(axis=0) <= world.knowledge.sense.range**2
+            seen = ((cells - place[:, None]) ** 2).sum(axis=0) <= world.knowledge.sensor.range**2
             belief[seen] = true[seen]
 
     def believed(step: int) -> NDArray[np.float64]:
@@ -624,8 +626,8 @@ def drawn_experience(number):
     )
     if number % 3:
         rates = ((0.9, 0.1), (0.5, 0.3), (1, 0.1), (0.7, 0))[stream.below(4)]
-        sense = {"range": (1, 1.5, 2, 3)[stream.below(4)], "sight": stream.below(2) == 1}
-        world = world.with_sensor_range(sense | {"detect": rates[0], "false_alarm": rates[1]})
+        sensor = {"range": (1, 1.5, 2, 3)[stream.below(4)], "sight": stream.below(2) == 1}
+        world = world.with_sensor_range(sensor | {"detect": rates[0], "false_alarm": rates[1]})
     free = np.argwhere(~np.isnan(q))
     starts = free[[stream.below(len(free)) for _ in range(1 + stream.below(5))]]
     settings = Settings(**POLICIES_UNKNOWN[number % len(POLICIES_UNKNOWN)])
@@ -710,10 +712,10 @@ LEVELS = 512
 
 def unseen(number: int) -> tuple[World, NDArray[np.int64], Settings]:
     """A drawn world of robots that see the map."""
-    believed, truth, starts, sense = drawn(number, Stream(number, 1515))
+    believed, truth, starts, sensor = drawn(number, Stream(number, 1515))
     settings = Settings(**POLICIES_UNKNOWN[number % len(POLICIES_UNKNOWN)] | HOMES[number % 5])
     in_area = "boustrophedon" if number % 4 == 1 else "nearest"
-    return World.create(believed).with_true_map(truth, sense), starts, replace(settings, in_area=in_area)
+    return World.create(believed).with_true_map(truth, sensor), starts, replace(settings, in_area=in_area)
 
 
 def hazards(number: int) -> tuple[World, NDArray[np.int64], Settings]:
@@ -800,7 +802,7 @@ def agree(kind: str, number: int) -> NDArray[np.int64]:
         np.testing.assert_array_equal(singles.home, singles.alive)  # where it came from it can always go back
     events = np.concatenate([trace.events[:, 2] for trace in traces])
     found = [int((events == event).sum()) for event in (EventKind.SURPRISED, EventKind.HOME)]
-    is_told = not world.knowledge.sense.sight if kind == "seen" else loop.learns
+    is_told = not world.knowledge.sensor.sight if kind == "seen" else loop.learns
     if not is_told or (kind == "hazards" and world.uncertainty.detector is not None):
         return np.array([*found, 0])
     for trace in traces:

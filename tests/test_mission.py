@@ -765,13 +765,13 @@ def test_what_it_cannot_act_on_is_said() -> None:
 def of_one_level(number: int) -> tuple[World, Any, World, Any]:
     """A drawn world with one dangerous level, so that costs are the same whatever is known of the map."""
     stream = Stream(number, 1518)
-    believed, truth, starts, sense = drawn(number, stream)
+    believed, truth, starts, sensor = drawn(number, stream)
     believed, truth = (np.where(one > 0, 0.3, one) for one in (believed, truth))
     for one in (believed, truth):  # some cell is dangerous on either map
         if not (one > 0).any():
             one[np.isnan(one) | (one == 0)] = np.where(np.isnan(one[np.isnan(one) | (one == 0)]), np.nan, 0.3)
-    world = World.create(believed).with_true_map(truth, sense)
-    begin, view = world.knowledge.sense.views(world.knowledge.free, np.arange(world.threat.size))  # type: ignore[union-attr]
+    world = World.create(believed).with_true_map(truth, sensor)
+    begin, view = world.knowledge.sensor.views(world.knowledge.free, np.arange(world.threat.size))  # type: ignore[union-attr]
     p = [None if np.isnan(one) else float(one) for one in world.met.ravel()]
 
     def sees(at: int) -> list[list[Any]]:

@@ -179,7 +179,7 @@ def test_what_robots_do_not_know_costs_what_evaluate_says(
     assert np.array_equal(world.met, true, equal_nan=True)
     assert np.array_equal(world.threat, np.where(unknown, np.float32(0.1), true), equal_nan=True)
     again = Sketch.of(world, 3, Settings())
-    assert (again.believed, again.sense.range) == (pytest.approx(0.1), 1)
+    assert (again.believed, again.sensor.range) == (pytest.approx(0.1), 1)
     assert np.array_equal(again.unknown, unknown & ~(true == np.float32(0.1)))
     read, _ = read_sketch(json.dumps(again.to_json()).encode(), again)
     assert read.world.randomness_sha256 == world.randomness_sha256

@@ -778,8 +778,8 @@ def swept_unsaid(folder: Path, text: str, rollouts: int = ROLLOUTS) -> Sweep:
         return run_sweep(read_spec(folder / "try.yaml"), store, processes=1)
 
 
-def dark(sense: float, obstacles: str = "unknown") -> World:
-    return TRUE.with_prior_map(0.04, obstacles, sensor_range=sense)  # type: ignore[arg-type]
+def dark(sensor: float, obstacles: str = "unknown") -> World:
+    return TRUE.with_prior_map(0.04, obstacles, sensor_range=sensor)  # type: ignore[arg-type]
 
 
 def mined(world: World, kind: str = "persistent", learn: bool = True) -> World:
@@ -874,8 +874,8 @@ def test_random_maps_are_gone_on_with(tmp_path: Path) -> None:
     swept_unsaid(tmp_path, text % 2, 30)
     answer = swept_unsaid(tmp_path, text % 3, 30)
     assert (answer.finished.rollouts, answer.finished.reused) == (2 * 30, 4 * 30)
-    for row, sense in zip(answer.rows, (1, 2), strict=True):
-        found = [covered(small(n).with_prior_map(0.04, sensor_range=sense), 2, "mrac", 3 + n, 30) for n in range(3)]
+    for row, sensor in zip(answer.rows, (1, 2), strict=True):
+        found = [covered(small(n).with_prior_map(0.04, sensor_range=sensor), 2, "mrac", 3 + n, 30) for n in range(3)]
         assert row.estimate("visited").mean == pytest.approx(np.mean(found))
 
 

@@ -611,11 +611,11 @@ def test_what_robots_are_not_told(folder: Path) -> None:
 
     world = read(true_map="true.csv", **sensed)
     assert np.array_equal(world.threat, told) and np.array_equal(world.met, true, equal_nan=True)
-    assert world.knowledge is not None and (world.knowledge.sense.range, world.knowledge.sense.sight) == (2.5, True)
+    assert world.knowledge is not None and (world.knowledge.sensor.range, world.knowledge.sensor.sight) == (2.5, True)
     world = read(map="true.csv", prior_map={"p": 0.04}, sensor_range=1)
     assert (world.threat == np.float32(0.04)).all() and np.array_equal(world.met, true, equal_nan=True)
     world = read(map="true.csv", prior_map={"p": 0.04, "obstacles": "known"})
-    assert np.array_equal(np.isnan(world.threat), np.isnan(true)) and world.knowledge.sense.range == 0
+    assert np.array_equal(np.isnan(world.threat), np.isnan(true)) and world.knowledge.sensor.range == 0
     world = read(prior_map={"p": 0.04}, true_map="true.csv", sensor_range=math.inf)
     assert (world.threat == np.float32(0.04)).all() and np.array_equal(world.met, true, equal_nan=True)
     spread = {"spread": {"kind": "beta", "sample_size": 9}}

@@ -452,7 +452,7 @@ HISTOGRAMS = ("visited", "survived", "time", "alive")
 def with_eyes(world: World, plan: Plan, far: float, choices: RolloutChoices) -> Trial:
     """The team with a sensor of range `far`, in cells, and a new plan; inf: a known map, unless the map is drawn."""
     assert world.knowledge is not None
-    if far == world.knowledge.sense.range:
+    if far == world.knowledge.sensor.range:
         return Trial(world, plan, choices)
     other = world.with_range(far)
     return Trial(other, allocated_plan(other, plan.starts, plan.require(world)), choices)

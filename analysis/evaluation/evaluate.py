@@ -594,7 +594,7 @@ def _wanted(choices: RolloutChoices, asked: dict[str, Any], world: World) -> dic
         raise UsageError(f"evaluate has no output `{unknown[0]}`", expected=f"one of {', '.join(OUTPUTS)}")
     given = {
         "deadline": choices.deadline,
-        "knowledge": None if world.knowledge is None else (world.knowledge.sense.range,),
+        "knowledge": None if world.knowledge is None else (world.knowledge.sensor.range,),
         "experience": world.learned_hazard is not None,
         "map_variance": isinstance(world.uncertainty, Uncertain),
         "turn": world.pace.turn or None,

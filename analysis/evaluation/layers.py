@@ -109,7 +109,7 @@ def runs(world: World, plan: Plan, choices: RolloutChoices, rollouts: int, certa
 
 def looks(world: World, choices: RolloutChoices) -> bool:
     """Whether robots learn the map with a sensor."""
-    return choices.loop == "closed" and world.knowledge is not None and world.knowledge.sense.range > 0
+    return choices.loop == "closed" and world.knowledge is not None and world.knowledge.sensor.range > 0
 
 
 def nominal(plan: Plan) -> Run:

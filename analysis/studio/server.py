@@ -53,7 +53,7 @@ from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
 from planner.tally import Tally
 from planner.world.keys import PLACE, PROBABILITY, Key
-from planner.world.map_knowledge import RANGE, Sense
+from planner.world.map_knowledge import RANGE, Sensor
 from planner.world.scenario import team_keys
 from planner.world.start_rule import place_starts
 from planner.world.world import MAX_ROBOTS, World
@@ -113,7 +113,7 @@ PAGE = Path("the page")
 LIMITS, KNOWN = ("risk_cap", "robot_value"), ("unknown", "believed", "sensor_range")
 
 
-USUAL = Sense(2.0)
+USUAL = Sensor(2.0)
 """Default sensor."""
 
 
@@ -124,7 +124,7 @@ class Sketch:
     Attributes:
         world: the map; its `starts` are the painted ones. robots: team size, for starts by rule.
         settings: for planning. deadline: a step at which coverage is also reported, or None.
-        believed: threat of unknown cells on the prior map, a probability. sense: the robots' sensor.
+        believed: threat of unknown cells on the prior map, a probability. sensor: the robots' sensor.
     """
 
     world: World
@@ -132,7 +132,7 @@ class Sketch:
     settings: Settings
     deadline: int | None = None
     believed: float = 0.04
-    sense: Sense = USUAL
+    sensor: Sensor = USUAL
 
     @classmethod
     def of(cls, world: World, robots: int, settings: Settings) -> Sketch:
@@ -147,7 +147,7 @@ class Sketch:
             problem = "the prior map has several values in unknown cells"
             raise WorldError(problem, source=world.source, expected="one prior threat for all unknown cells")
         chance = float(believed[0]) if len(believed) else cls.believed
-        return replace(sketch, believed=chance, sense=known.sense)
+        return replace(sketch, believed=chance, sensor=known.sensor)
 
     @property
     def unknown(self) -> NDArray[np.bool_]:
@@ -167,7 +167,7 @@ class Sketch:
         cells, unknown = (
             base64.b64encode(of.tobytes()).decode() for of in (self.world.met.astype("<f4"), self.unknown)
         )
-        sees = None if self.sense.range == inf else self.sense.range
+        sees = None if self.sensor.range == inf else self.sensor.range
         knows = {"unknown": unknown, "believed": float(f"{self.believed:.7g}"), "sensor_range": sees}
         said = {name: getattr(self.settings, name) for name in ("policy", *LIMITS)}
         return {"cells": cells, "starts": starts, "robots": self.robots, "deadline": self.deadline} | said | knows
@@ -219,13 +219,13 @@ def read_sketch(body: bytes, first: Sketch) -> tuple[Sketch, Mapping[str, Key]]:
         step = ground.pace.last_step("deadline", keys["deadline"].value, str(PAGE))
         deadline = replace(keys["deadline"], value=step).number(whole(1, MAX_STEP, "a step"))
     believed, sees = keys["believed"].number(PROBABILITY), keys["sensor_range"]
-    sense = replace(first.sense, range=inf if sees.value is None else sees.number(RANGE))
+    sensor = replace(first.sensor, range=inf if sees.value is None else sees.number(RANGE))
     unknown = _cells(keys["unknown"], ground.shape, "u1").astype(np.bool_)
     if unknown.any():
         prior = np.where(unknown, np.float32(believed), world.threat)
         with keys["sensor_range"].naming():
-            world = replace(world, threat=prior).with_true_map(world, sense)
-    return Sketch(world, robots if starts is None else len(starts), settings, deadline, believed, sense), keys
+            world = replace(world, threat=prior).with_true_map(world, sensor)
+    return Sketch(world, robots if starts is None else len(starts), settings, deadline, believed, sensor), keys
 
 
 def _cells(key: Key, shape: tuple[int, int], kind: str) -> NDArray:
@@ -514,7 +514,7 @@ def with_other_sensors(board: Board, choices: RolloutChoices) -> list[Measured]:
     """The team with the known map, the team itself, and, if obstacles are known, the team without a sensor."""
     world = board.sketch.world
     assert world.knowledge is not None
-    known, sees = world.knowledge, world.knowledge.sense.range
+    known, sees = world.knowledge, world.knowledge.sensor.range
     ranges = [inf, sees, *[0.0] * (sees > 0 and known.safe_without_sensor(world.free))]
     teams = [with_eyes(world, board.plan, far, replace(choices, exact="never")) for far in ranges]
     return list(alike(teams, 0, choices.rollouts))

@@ -411,10 +411,8 @@ class _Loops:
         return compile_closed_loop(plan, self._team.world, kept=kept, problem=problem)
 
 
-@lru_cache(maxsize=1)
-def _prepared(team: Team, closed: bool) -> _Loops:
-    """Plan, facts and tables. The last team's are cached, for a run that is split into several tasks."""
-    return _Loops(team, closed)
+_prepared = lru_cache(maxsize=1)(_Loops)
+"""Plan, facts and tables. The last team's are cached, for a run that is split into several tasks."""
 
 
 @lru_cache(maxsize=1)

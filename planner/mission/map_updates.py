@@ -31,7 +31,7 @@ from planner.simulator.codes import ALWAYS, NO_AREA, NO_ROBOT, Doing, Outcome
 from planner.tally import WORDS_OF_0_3
 from planner.world.keys import PROBABILITY, Key
 from planner.world.levels import NO_LEVEL, find_levels
-from planner.world.map_knowledge import Knowledge, Sense, added
+from planner.world.map_knowledge import Knowledge, Sensor, added
 from planner.world.moving_threats import Phases
 from planner.world.uncertain_maps import Hazard
 from planner.world.world import MAX_CELLS, World
@@ -165,7 +165,7 @@ def _believing(problem: Problem, state: MissionState, updated: NDArray[np.bool_]
         within[cells] = True
     belief = np.where(updated, ANOTHER, levels).astype(np.int16)
     begins = np.array([0, state.step + 1])
-    known, phases = Knowledge(problem.world.threat, Sense()), Phases(begins, np.stack([problem.world.threat] * 2))
+    known, phases = Knowledge(problem.world.threat, Sensor()), Phases(begins, np.stack([problem.world.threat] * 2))
     unknown = Unknown(
         known, problem.levels.values, problem.levels.quantised, belief, np.stack([belief, levels]), within,
         problem.levels.accessible, phases=phases,

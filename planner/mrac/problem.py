@@ -21,7 +21,7 @@ from planner.simulator.codes import ALWAYS, BLOCKED, NO_ROBOT
 from planner.simulator.offers import Offer
 from planner.simulator.searches import SafestPaths, safest_paths
 from planner.world.levels import NO_LEVEL, ThreatLevels, entry_costs, find_levels, level_costs, levels_of_maps
-from planner.world.map_knowledge import Evidence, Knowledge, Sense
+from planner.world.map_knowledge import Evidence, Knowledge, Sensor
 from planner.world.moving_threats import Phases
 from planner.world.start_rule import as_planned
 from planner.world.uncertain_maps import Uncertain
@@ -66,7 +66,7 @@ class Unknown:
     def learns(self) -> bool:
         """Whether the robots' map may change."""
         differ = (self.truths != self.belief)[:, self.within]
-        return (not self.looks or self.knowledge.sense.range > 0) and bool(differ.any())
+        return (not self.looks or self.knowledge.sensor.range > 0) and bool(differ.any())
 
     @cached_property
     def last_update(self) -> int:
@@ -84,8 +84,8 @@ class Unknown:
 
     @cached_property
     def views(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-        """Reachable cells in sensor range of each reachable cell, in order of the cells (`Sense.views`)."""
-        begin, seen = self.knowledge.sense.views(self.knowledge.free, np.flatnonzero(self.within))
+        """Reachable cells in sensor range of each reachable cell, in order of the cells (`Sensor.views`)."""
+        begin, seen = self.knowledge.sensor.views(self.knowledge.free, np.flatnonzero(self.within))
         kept = self.within[seen]
         return np.append(0, np.cumsum(kept))[begin], seen[kept]
 
@@ -130,8 +130,10 @@ def _of_changes(
         return None
     values, of_cell, quantised = levels_of_maps(maps, within, most)
     belief = of_cell[0] if evidence is None else of_cell[evidence.class_of(evidence.prior, cells), cells]
-    sense = Sense() if evidence is None or evidence.detector is None else evidence.detector.sense
-    return Unknown(Knowledge(world.threat, sense), values, quantised, belief, of_cell, within, within, evidence, phases)
+    sensor = Sensor() if evidence is None or evidence.detector is None else evidence.detector.sensor
+    return Unknown(
+        Knowledge(world.threat, sensor), values, quantised, belief, of_cell, within, within, evidence, phases
+    )
 
 
 def _of_wrecks(world: World, starts: NDArray[np.int64], settings: Settings) -> Unknown | None:

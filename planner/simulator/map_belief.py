@@ -39,7 +39,7 @@ GONE, WHOLE, BROKEN, TOUCHED, OWNED = range(5)
 
 
 @rare_kernel
-def sense_cells(t, s, w):
+def sensor_cells(t, s, w):
     """Update the map with the sensor range of live robots, from cells not looked from before.
 
     Returns:
@@ -425,7 +425,7 @@ def update_map(t, s, w, how, ids):
     """Update the map by phases, sensor range or estimates: (changed cells, whether a cell was seen first)."""
     if t.phased:
         return update_to_phase(t, s, w), False
-    return sense_cells(t, s, w) if not t.estimates else (update_from_estimates(t, s, w, how, ids), False)
+    return sensor_cells(t, s, w) if not t.estimates else (update_from_estimates(t, s, w, how, ids), False)
 
 
 @kernel

@@ -32,7 +32,7 @@ MOST_SEEN = 2**26
 
 
 @dataclass(frozen=True)
-class Sense:
+class Sensor:
     """Sensor of a robot: it sees every cell whose centre is within `range` cells of its own (Euclidean distance).
 
     With `sight`, only if the segment between the centres crosses the inside of no other obstacle cell.
@@ -110,11 +110,11 @@ class Knowledge:
 
     Attributes:
         truth: float32 `[H, W]`, NaN = obstacle; for an uncertain map the one that gives the obstacles.
-        sense: the robots' sensor.
+        sensor: the robots' sensor.
     """
 
     truth: NDArray[np.float32]
-    sense: Sense
+    sensor: Sensor
 
     @property
     def free(self) -> NDArray[np.bool_]:
@@ -128,13 +128,13 @@ class Knowledge:
     @property
     def description(self) -> str:
         """Description for messages."""
-        return f"robots do not know the map; {self.sense.description}"
+        return f"robots do not know the map; {self.sensor.description}"
 
     @property
     def sha256(self) -> str:
         """Hash of the true map and the sensor."""
         digest = hashlib.sha256(np.ascontiguousarray(self.truth, dtype="<f4").tobytes())
-        digest.update(repr((float(self.sense.range), self.sense.sight)).encode())
+        digest.update(repr((float(self.sensor.range), self.sensor.sight)).encode())
         return digest.hexdigest()
 
     def first_seen(self, cells: NDArray[np.integer], alive: NDArray[np.bool_]) -> NDArray[np.int32]:
@@ -147,17 +147,17 @@ class Knowledge:
         when = np.full(self.truth.size, NO_STEP, dtype=np.int32)
         places, first = np.unique(cells[alive], return_index=True)
         steps = np.nonzero(alive)[0][first]
-        begin, seen = self.sense.views(self.free, places.astype(np.int64))
+        begin, seen = self.sensor.views(self.free, places.astype(np.int64))
         for number in np.argsort(-steps, kind="stable"):  # the earliest step is written last
             when[seen[begin[number] : begin[number + 1]]] = steps[number]
         return when
 
     def arrays(self) -> dict[str, Any]:
         """Arrays of the world file, by name."""
-        return {"truth": self.truth, "sense": np.array([self.sense.range, self.sense.sight], dtype=np.float64)}
+        return {"truth": self.truth, "sense": np.array([self.sensor.range, self.sensor.sight], dtype=np.float64)}
 
 
-def make_sense(given: float | Sense | Mapping[str, Any], source: str) -> Sense:
+def make_sensor(given: float | Sensor | Mapping[str, Any], source: str) -> Sensor:
     """A checked sensor.
 
     Args:
@@ -167,7 +167,7 @@ def make_sense(given: float | Sense | Mapping[str, Any], source: str) -> Sense:
     Raises:
         WorldError: it is invalid.
     """
-    if isinstance(given, Sense):
+    if isinstance(given, Sensor):
         given = {"range": given.range, "sight": given.sight}
     keys: Json = dict(given) if isinstance(given, Mapping) else {"range": given}
     cells, sight = keys.pop("range", None), keys.pop("sight", False)
@@ -176,16 +176,16 @@ def make_sense(given: float | Sense | Mapping[str, Any], source: str) -> Sense:
         expected = f"{RANGE.expected}; or {{range, sight: true or false}}"
         said = given if is_range or keys else cells
         raise WorldError(f"sensor_range is {said!r:.60}", source=source, expected=expected)
-    return Sense(float(cells), bool(sight))
+    return Sensor(float(cells), bool(sight))
 
 
-def make_knowledge(belief: NDArray[np.float32], truth: NDArray[np.float32], sense: Sense, source: str) -> Knowledge:
+def make_knowledge(belief: NDArray[np.float32], truth: NDArray[np.float32], sensor: Sensor, source: str) -> Knowledge:
     """The true map of a prior map.
 
     Args:
         belief: float32 `[H, W]`, the prior map.
         truth: float32 `[H, W]`, the true map.
-        sense: the robots' sensor.
+        sensor: the robots' sensor.
         source: for messages.
 
     Raises:
@@ -196,13 +196,13 @@ def make_knowledge(belief: NDArray[np.float32], truth: NDArray[np.float32], sens
         raise WorldError(problem, source=source, expected=f"the cells of the prior map, {list(belief.shape)}")
     # Without sensor a robot finds an obstacle only by a collision.
     differ = np.isnan(belief) != np.isnan(truth)
-    if sense.range == 0 and differ.any():
+    if sensor.range == 0 and differ.any():
         row, col = np.argwhere(differ)[0].tolist()
         problem = (
             f"robots that see nothing are wrong about an obstacle at [{row}, {col}] ({int(differ.sum())} such cells)"
         )
-        raise WorldError(problem, source=source, expected="the same obstacles", fix="let them sense 1 or more")
-    return Knowledge(truth, sense)
+        raise WorldError(problem, source=source, expected="the same obstacles", fix="give a sensor range of 1 or more")
+    return Knowledge(truth, sensor)
 
 
 # Hazard estimates from losses, survived visits and detectors: log odds, added up in whole numbers.
@@ -224,17 +224,17 @@ class Detector:
     """Detector, read by every robot alive at the end of each step, independently for each cell in range.
 
     Attributes:
-        sense: range of the detector. detect: probability of an alarm at a hazard; false_alarm: elsewhere.
+        sensor: range of the detector. detect: probability of an alarm at a hazard; false_alarm: elsewhere.
     """
 
-    sense: Sense
+    sensor: Sensor
     detect: float
     false_alarm: float
 
     @property
     def description(self) -> str:
         """Description for messages."""
-        far = self.sense.description.removeprefix("robots see ")
+        far = self.sensor.description.removeprefix("robots see ")
         return f"a detector, {far}, that finds {self.detect:g} of them and gives {self.false_alarm:g} false alarms"
 
     @property
@@ -249,7 +249,7 @@ class Detector:
 
     def array(self) -> NDArray[np.float64]:
         """Array of the world file."""
-        return np.array([self.sense.range, self.sense.sight, self.detect, self.false_alarm], dtype=np.float64)
+        return np.array([self.sensor.range, self.sensor.sight, self.detect, self.false_alarm], dtype=np.float64)
 
 
 def make_detector(given: object, source: str) -> Detector:
@@ -266,13 +266,15 @@ def make_detector(given: object, source: str) -> Detector:
         expected = "{range, detect, false_alarm}: hazards are found by detectors, not seen"
         raise WorldError(f"sensor_range is {given!r:.60}", source=source, expected=expected)
     detect, false_alarm = given["detect"], given["false_alarm"]
-    sense = make_sense({name: given[name] for name in given if name not in ("detect", "false_alarm")}, source)
+    sensor = make_sensor({name: given[name] for name in given if name not in ("detect", "false_alarm")}, source)
     CHANCE.check("detect", detect, WorldError, source)
     CHANCE.check("false_alarm", false_alarm, WorldError, source)
-    if sense.range == 0 or detect <= false_alarm:
-        problem = f"a detector with range {sense.range:g}, detect {detect:g}, false_alarm {false_alarm:g} has no effect"
+    if sensor.range == 0 or detect <= false_alarm:
+        problem = (
+            f"a detector with range {sensor.range:g}, detect {detect:g}, false_alarm {false_alarm:g} has no effect"
+        )
         raise WorldError(problem, source=source, expected="a range of 1 or more, and more alarms where a hazard is")
-    return Detector(sense, float(detect), float(false_alarm))
+    return Detector(sensor, float(detect), float(false_alarm))
 
 
 @dataclass(frozen=True, eq=False)

@@ -63,7 +63,7 @@ def read_knowledge(keys: dict[str, Key], world: World, load: Callable[[Path], Wo
     key = keys.get("sensor_range", keys[named[0]])
     with key.naming():
         further = () if world.learned_hazard is None else DETECTS
-        return world.with_sensor_range(_sense(keys["sensor_range"], further) if "sensor_range" in keys else 0)
+        return world.with_sensor_range(_sensor(keys["sensor_range"], further) if "sensor_range" in keys else 0)
 
 
 def _plain_input(key: Key) -> Path:
@@ -75,7 +75,7 @@ def _plain_input(key: Key) -> Path:
     return path
 
 
-def _sense(key: Key, more: tuple[str, ...]) -> SensorRange:
+def _sensor(key: Key, more: tuple[str, ...]) -> SensorRange:
     if not isinstance(key.value, dict):
         return key.value
     return {name: one.value for name, one in key.mapping(("range", *more), optional=("sight",)).items()}

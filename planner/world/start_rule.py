@@ -153,10 +153,10 @@ def as_planned(world: World, starts: ArrayLike) -> World:
     if known is None:
         return world
     threat = world.threat
-    if world.uncertainty is None and known.sense.range > 0:
+    if world.uncertainty is None and known.sensor.range > 0:
         placed = check_starts(starts, known.truth, world.source)
         cells = placed[:, 0] * world.shape[1] + placed[:, 1]
-        seen = known.sense.views(known.free, np.unique(cells))[1]
+        seen = known.sensor.views(known.free, np.unique(cells))[1]
         threat = threat.copy()
         # Only cells in range of the starts: a plan must not know more than its robots.
         threat.flat[seen] = known.truth.flat[seen]

@@ -44,7 +44,7 @@ from planner.world.keys import (
     first_of,
 )
 from planner.world.levels import entry_costs, find_levels
-from planner.world.map_knowledge import Knowledge, Sense, make_detector, make_knowledge, make_sense
+from planner.world.map_knowledge import Knowledge, Sensor, make_detector, make_knowledge, make_sensor
 from planner.world.moving_threats import (
     FORESIGHTS,
     MOST_PHASES,
@@ -84,7 +84,7 @@ EXAMPLE = "example:"
 Obstacles = Literal["unknown", "known"]
 OBSTACLES: tuple[Obstacles, ...] = ("unknown", "known")
 Uncertainty = Hazard | Uncertain | MovingThreats | Phases
-SensorRange = float | Sense | Mapping[str, Any]
+SensorRange = float | Sensor | Mapping[str, Any]
 """A range in cells, or `{range, sight}`."""
 PLANNED_QUANTILE = Numbers(0, 1, above=True, below=True, text="mean, or a number between 0 and 1")
 FOUR_NEIGHBOURS = ndimage.generate_binary_structure(2, 1)
@@ -310,7 +310,7 @@ class World:
     @property
     def is_learned(self) -> bool:
         """Whether the robots' map may change during a mission: by sensors or by hazard estimates."""
-        looks = self.knowledge is not None and self.knowledge.sense.range > 0
+        looks = self.knowledge is not None and self.knowledge.sensor.range > 0
         return looks or self.learned_hazard is not None
 
     def require_certain_map(self, what: str, or_else: str = "", hazards: bool = False) -> None:
@@ -615,8 +615,8 @@ class World:
 
     def with_range(self, cells: float) -> World:
         """A copy with another sensor range in cells; obstacles block the view as before. Raises WorldError."""
-        sight = self.knowledge is not None and self.knowledge.sense.sight and cells < inf
-        return self.with_sensor_range(Sense(cells, sight))
+        sight = self.knowledge is not None and self.knowledge.sensor.sight and cells < inf
+        return self.with_sensor_range(Sensor(cells, sight))
 
     def to_networkx(self) -> nx.DiGraph:
         """The free cells as a `networkx.DiGraph`: nodes (row, col) with `threat` and `pos` (metres).
@@ -671,13 +671,13 @@ class World:
             problem = f"map updates do not support this uncertainty: {self.uncertainty.description}"
             fix = f"leave out `{self.uncertainty.key}`, or `true_map`, `prior_map` and `sensor_range`"
             raise WorldError(problem, source=self.source, fix=fix)
-        sense = make_sense(sensor_range, self.source)
+        sensor = make_sensor(sensor_range, self.source)
         # Sensors compare whole maps: with a quantile per level there would be one map for each combination.
-        if isinstance(self.uncertainty, Uncertain) and not self.uncertainty.whole and sense.range > 0:
+        if isinstance(self.uncertainty, Uncertain) and not self.uncertainty.whole and sensor.range > 0:
             problem = "sensors need whole maps to choose from; this uncertainty draws one quantile for each level"
             raise WorldError(problem, source=self.source, fix="draw one for the whole map: `by: common`")
         belief.setflags(write=False)
-        knowledge = make_knowledge(belief, truth, sense, self.source)
+        knowledge = make_knowledge(belief, truth, sensor, self.source)
         starts = None if self.starts is None else check_starts(self.starts, truth, self.source)
         return replace(self, threat=belief, knowledge=knowledge, starts=starts)
 

@@ -29,7 +29,7 @@ from planner.formatting import counted
 from planner.make_plan import allocated_plan
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop, final_odds
-from planner.world.map_knowledge import Sense, chance_of
+from planner.world.map_knowledge import Sensor, chance_of
 from planner.world.uncertain_maps import Hazard, Uncertain
 from planner.world.world import World
 
@@ -84,11 +84,11 @@ class Knowledge(Output):
     """The team with other sensors, and with a known map.
 
     Attributes:
-        sense: the sensor of the world. teams: by ascending sensor range; the last one has a known map.
+        sensor: the sensor of the world. teams: by ascending sensor range; the last one has a known map.
         believed: the prior map.
     """
 
-    sense: Sense
+    sensor: Sensor
     teams: tuple[Team, ...]
     believed: CellLayer
     json_keys = """
@@ -118,7 +118,7 @@ class Knowledge(Output):
             return
         no_sensor = {0.0} if known.safe_without_sensor(world.free) else set()
         drawn = world.uncertainty is not None  # even with an unlimited range robots plan before they see
-        ranges = sorted({*map(float, asked), *no_sensor, known.sense.range, *([] if drawn else [inf])})
+        ranges = sorted({*map(float, asked), *no_sensor, known.sensor.range, *([] if drawn else [inf])})
         done = run.last.tally.rollouts
         count = max(min(done, LEAST), done // len(ranges))
         choices = replace(run.choices, rollouts=count, precision=None, seconds=None, deadline=None)
@@ -134,7 +134,7 @@ class Knowledge(Output):
             found: Sequence[Measured] = [*(only(trial.sample(0, count), kept) for trial in trials), known_map]
         else:
             found = alike(trials, 0, count)
-        yield cls(known.sense, tuple(map(Team, [*ranges, inf], found)), _believed(world, run.plan))
+        yield cls(known.sensor, tuple(map(Team, [*ranges, inf], found)), _believed(world, run.plan))
 
     @property
     def known_map(self) -> Team:
@@ -144,7 +144,7 @@ class Knowledge(Output):
     @property
     def learning(self) -> Team:
         """The team that was evaluated."""
-        return next(team for team in self.teams if team.range == self.sense.range)
+        return next(team for team in self.teams if team.range == self.sensor.range)
 
     @property
     def no_sensor(self) -> Team | None:
@@ -182,7 +182,7 @@ class Knowledge(Output):
         return Elements(
             leads=list(self._leads()), tables=[table], notes=[f"value of map information: {self.behind}"],
             pictures=pictures, below=[self.chart()] if pictures else [],
-            layers={"believed.png": lambda: self.believed}, settings={"knowledge": self.sense.description},
+            layers={"believed.png": lambda: self.believed}, settings={"knowledge": self.sensor.description},
         )  # fmt: skip
 
     def _leads(self) -> Iterator[str]:

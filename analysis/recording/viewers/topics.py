@@ -204,15 +204,10 @@ class Stage:
 
     def area_maps(self, trace: Trace) -> Iterator[AreaMap]:
         """The areas at the end of step 0 and of every later step that changes them; empty without areas."""
-        if self.rearranges:
+        if self.loop == "closed" and ready_loop(self.plan, self.world)[0].learns:  # map updates may make new areas
             loop = PythonLoop(self.plan, self.world, first_only=self.first_only)
             return learned_maps(loop.runs(self.seed, trace.rollout))
         return area_maps(trace, self.areas, self.plan.state) if self.areas else iter(())
-
-    @property
-    def rearranges(self) -> bool:
-        """Whether robots may create new areas from map updates."""
-        return self.loop == "closed" and ready_loop(self.plan, self.world)[0].learns
 
     def discovery(self, trace: Trace) -> Discovery | None:
         """The team's map knowledge in a rollout; None if it learns nothing."""
@@ -222,7 +217,7 @@ class Stage:
     def learns(self) -> bool:
         """Whether robots update the map by a sensor; on fixed paths they do not."""
         known = self.world.knowledge
-        return self.loop == "closed" and known is not None and known.sense.range > 0
+        return self.loop == "closed" and known is not None and known.sensor.range > 0
 
 
 # Colours of recordings: distinct, and bright enough for the dark backgrounds of viewers.
@@ -284,7 +279,7 @@ def layout_json(world: World, robots: int) -> str:
         panels[name]["cameraState"].update(camera)
     largest = max(float(np.nanmax(layer, initial=0.0)) for layer in (world.threat, world.by_phase))
     panels["3D!threat"]["topics"]["/map/threat"]["maxValue"] = max(largest, 1e-6)
-    if world.knowledge is not None and world.knowledge.sense.range > 0:
+    if world.knowledge is not None and world.knowledge.sensor.range > 0:
         _show_truth(layout)
     panels["Plot!alive"]["maxYValue"] = robots
     panels["StateTransitions!doing"]["paths"] = [
