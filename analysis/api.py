@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, TypeVar, U
 from analysis.utils.notes import UnknownArgument, say
 from planner.arguments import COMMAND_LINE, argument, as_whole, check_word, whole
 from planner.errors import InputError, UsageError
-from planner.settings import BEST, OPTIONS, SETTINGS, Choices, Policy, Settings
+from planner.settings import OPTIONS, SETTINGS, Choices, Policy, Settings
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -81,7 +81,8 @@ class PlannerOptions(TypedDict, total=False):
     hazard_multiplier: float | Sequence[float] | None
     return_to: ReturnTo
     wrecks: Literal["ignore", "block"] | None
-    deliver_every: int | None
+    deliver_every: int | Literal["auto"] | None
+    deliver_value: float | None
     recharge: int | None
     types: str | Sequence[str] | None
     steps_per_move: int | Sequence[int] | None
@@ -342,14 +343,16 @@ def plan(
         starts: their cells `[[row, col], ...]`, one per robot.
         state: state of a mission under way, or its file (a state, tracks, visited cells, a mask, an OccupancyGrid).
             The plan covers the rest. Its robots are those of the state, or at `starts` if the file has no positions.
-        seconds: end the search of `plan_for="open_loop"` or `policy="best"` after this many seconds (10).
+        seconds: end the search of `plan_for="open_loop"`, `policy="best"` or `deliver_every="auto"` after this many
+            seconds (10).
 
     A `policy` may also be a `planner.policies.rules.Rule`, or a function of an `Offer` that orders areas, least first;
     an `in_area` order a function of a `CellOffer`. Such a plan cannot be saved. "best" selects the policy with the
-    highest coverage of a dozen settings, on separate random numbers, and then improves the order of the areas. In a
-    world with a step length a `deadline` may be a time, "45min".
+    highest coverage of a dozen settings, on separate random numbers, and then improves the order of the areas;
+    `deliver_every="auto"` the number of cells with which most is delivered. In a world with a step length a `deadline`
+    may be a time, "45min".
     """
-    from analysis.estimators.racing import BASE, plan_best
+    from analysis.estimators.racing import plan_best
     from analysis.inputs import plan_from_state
     from planner.open_loop import plan_team
     from planner.plan.state import MissionState
@@ -357,24 +360,27 @@ def plan(
     from planner.world.start_rule import starts_of
 
     check_world(world)
-    given, sought = dict(options), options["policy"] == BEST
-    settings = settings_of(world, **given | ({"policy": BASE} if sought else {}))
-    if sought and state is not None:
-        raise UsageError(f"both {argument('policy', BEST)} and a state", expected="one of them")
+    asked = _choices(options)
+    settings = asked.before_search().settings(world.team.settings, world.pace, by=world.source)
     if state is not None:
+        asked.require_no_search("a state")
         if robots is not None or (starts is not None and isinstance(state, MissionState)):
             problem = "a state and robots or starts"
             raise UsageError(problem, expected="one of them: the state says where its robots are")
         found, notes = (state, ()) if isinstance(state, MissionState) else read_state(Path(state), world, starts)
         made = plan_from_state(world, found, settings)
         return replace(made, notes=(*made.notes, *notes))
-    return (plan_best if sought else plan_team)(world, starts_of(world, robots, starts), settings, seconds)
+    make: Callable[..., Plan] = plan_best if asked.searched else plan_team
+    return make(world, starts_of(world, robots, starts), settings, seconds, *asked.searched)
 
 
 def settings_of(world: World, **given: Any) -> Settings:
     """The settings of the world, with those in `given` replaced. Raises InputError."""
-    asked = Choices(**{name: _of_tuples(name, value) for name, value in given.items()})
-    return asked.settings(world.team.settings, world.pace, by=world.source)
+    return _choices(given).settings(world.team.settings, world.pace, by=world.source)
+
+
+def _choices(given: Mapping[str, Any]) -> Choices:
+    return Choices(**{name: _of_tuples(name, value) for name, value in given.items()})
 
 
 def _of_tuples(name: str, given: Any) -> Any:

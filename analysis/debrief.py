@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
-from scipy import ndimage
 from scipy.stats import gamma
 
 from analysis.inputs import plan_from_state
@@ -27,6 +26,7 @@ from planner.errors import InputError, UsageError
 from planner.failure_model import FailureModel
 from planner.formatting import counted, in_percent, percent
 from planner.json_objects import as_json
+from planner.mrac.areas import connected_parts
 from planner.plan.plan import Plan
 from planner.plan.state import NAT, MissionState, RobotState
 from planner.plan.state_file import Track
@@ -284,10 +284,7 @@ class Debrief(Result):
 
 def connected(marked: NDArray[np.bool_], world: World) -> tuple[NDArray[np.int64], ...]:
     """4-connected areas of marked cells, bool `[N]`, the largest first: int64 cells each."""
-    labels = ndimage.label(marked.reshape(world.shape))[0].ravel()
-    order = np.argsort(labels, kind="stable")
-    found = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
-    return tuple(sorted((cells for cells in found if labels[cells[0]]), key=len, reverse=True))
+    return tuple(sorted(connected_parts(world.shape, np.flatnonzero(marked)), key=len, reverse=True))
 
 
 def _marked(world: World, paths: Sequence[NDArray[np.int64]]) -> NDArray[np.bool_]:

@@ -18,8 +18,7 @@ from planner.files import read_json, why_no_file
 from planner.formatting import counted
 from planner.plan.plan import FORMAT, Plan
 from planner.plan.state import MissionState
-from planner.policies.rules import PER_CELL
-from planner.settings import BEARING, BEST, KEPT, Choices, Settings
+from planner.settings import BEARING, KEPT, Choices, Settings
 from planner.world.keys import named_files, read_yaml
 from planner.world.map_files import YAML
 from planner.world.world import EXAMPLE, World, check_starts
@@ -165,10 +164,9 @@ def load_or_make_plan(
     """
     from planner.open_loop import plan_team
 
-    sought = asked.choices.policy == BEST
-    if sought and (state is not None or plan_file is not None):
-        other = argument("plan" if state is None else "state")
-        raise UsageError(f"both {argument('policy', BEST)} and {other}", expected="one of them")
+    searched = asked.choices.searched
+    if state is not None or plan_file is not None:
+        asked.choices.require_no_search(argument("plan" if state is None else "state"))
     if state is None and plan_file is None and asked.source.endswith(".json"):
         asked, plan_file = _on_its_map(asked)
     if seconds is not None and (state is not None or plan_file is not None):
@@ -177,12 +175,13 @@ def load_or_make_plan(
         return _plan_the_rest(asked, state, plan_file)
     if plan_file is not None:
         return _load_plan(asked, plan_file)
-    task = load_task(replace(asked, choices=replace(asked.choices, policy=PER_CELL.name)) if sought else asked)
+    task = load_task(replace(asked, choices=asked.choices.before_search()))
     if first is not None:
         first(task.world)
     if doing is not None:
-        doing("the best policy" if sought else "planning")
-    made = (find_best if sought else plan_team)(task.world, task.starts, task.settings, seconds)
+        doing("the best policy" if searched else "planning")
+    make = find_best if searched else plan_team
+    made = make(task.world, task.starts, task.settings, seconds, *searched)
     return task.world, made, task.notes + made.notes
 
 

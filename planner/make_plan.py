@@ -19,7 +19,7 @@ from planner.plan.state import NAT, ON_ITS_WAY, RETURNING, AreaState, MissionSta
 from planner.rollouts.closed_loop import compile_closed_loop, nominal_loop, with_run
 from planner.rollouts.runners import Runner
 from planner.rollouts.single_run import SingleRun, play_compiled
-from planner.settings import Settings
+from planner.settings import AGAIN, Settings
 from planner.simulator.codes import NO_ROBOT
 from planner.simulator.searches import NOT_WANTED, UNREACHED
 from planner.simulator.thresholds import MOST
@@ -203,7 +203,7 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
     Raises:
         StateError: it does not fit the settings.
     """
-    problem.settings.require_uniform("the state of a mission", "recharge", "deliver_every")
+    problem.settings.require_uniform("the state of a mission", *AGAIN)
     if state.step >= problem.max_steps:
         raise StateError(f"the state is of step {state.step}", expected=f"a step before the last, {problem.max_steps}")
     left = problem.range - [robot.moves for robot in state.robots]

@@ -21,13 +21,14 @@ from planner.arguments import (
     check_each,
     check_word,
     did_you_mean,
+    exactly,
     is_real,
     whole,
 )
-from planner.errors import LOOPS, PlanError, warn_renamed
+from planner.errors import LOOPS, PlanError, UsageError, warn_renamed
 from planner.formatting import TIMES, UNPACED, Pace
 from planner.policies import DEFAULT, RULES, Rule, rule_of
-from planner.policies.rules import NEAREST, ORDERS, InAreaOrder
+from planner.policies.rules import NEAREST, ORDERS, PER_CELL, InAreaOrder
 from planner.simulator.offers import Offer
 
 if TYPE_CHECKING:
@@ -37,11 +38,17 @@ Policy = str | Rule | Callable[[Offer], Any]
 """The name of a rule, or a user-defined `Rule` or function that orders areas (`planner.policies.own_rule`)."""
 BEST = "best"
 """`"best"`: search for the policy with the highest coverage. Never stored in a plan."""
+AUTO = "auto"
+"""`deliver_every="auto"`: search for the number of cells with which most is delivered. Never stored in a plan."""
+SEARCHED = {"policy": (BEST, PER_CELL.name), "deliver_every": (AUTO, None)}
+"""Settings that a search may find: the value that asks for it, and the one that stands for it until then."""
 POLICY = ("policy", "risk_cap", "robot_value", "priority")
 """A policy and its limits."""
 BEARING = ("weibull_shape", "hazard_multiplier")
 """Settings of the failure model. No decision depends on them."""
-KEPT = ("range", "deadline", "return_to", "deliver_every", "wrecks", "recharge", "steps_per_move", "radio")
+AGAIN = ("recharge", "deliver_every", "deliver_value")
+"""Settings by which robots go on after a return to base."""
+KEPT = ("range", "deadline", "return_to", *AGAIN, "wrecks", "steps_per_move", "radio")
 """Limits of the robots under every policy."""
 GROUPS = {"policy": POLICY, "plan_for": ("plan_for", "effort")}
 """Settings with dependent ones: a new choice of the first discards the input's values of the others."""
@@ -170,6 +177,7 @@ class Settings:
             start; or cells, a tuple of (row, col); None = robots stay at their last cell.
         wrecks: "block": lost robots are obstacles for the others (SPEC section 15); "ignore": they are not.
         deliver_every: undelivered cells with which a robot returns to a base and goes on; None = only at the end.
+        deliver_value: value of undelivered cells with which it does so; None = only at the end.
         recharge: steps at a base that restore the range of a robot; None = never restored.
         types: robot types (SPEC section 22), one for all or one a robot, named in the world's matrix; None = the map's
             p applies to every robot.
@@ -254,6 +262,10 @@ class Settings:
     deliver_every: int | None = _setting(
         None, "deliver every", "Return to the base, and go on, with this many cells to deliver (default: never).",
         whole(1, MAX_STEP), unset="never", later=True,
+    )  # fmt: skip
+    deliver_value: float | None = _setting(
+        None, "deliver value", "Return to the base, and go on, with cells of this value to deliver (default: never).",
+        Numbers(0, above=True), unset="never", later=True,
     )  # fmt: skip
     recharge: int | None = _setting(
         None, "recharge", "Steps at a base that restore the range, with --range and --return-to (default: never).",
@@ -390,12 +402,12 @@ class Settings:
             problem = f"{message('effort', str(self.effort))} with {called('plan_for')} {self.plan_for}"
             expected, fix = f"{called('plan_for')} open_loop", f"leave {called('effort')} out"
             raise PlanError(problem, source=source, expected=expected, fix=fix)
-        if self.deliver_every is not None and self.return_to is None:
-            problem = f"{message('deliver_every', str(self.deliver_every))} without {called('return_to')}"
-            raise PlanError(problem, source=source, fix=f"give it, or leave {called('deliver_every')} out")
-        if self.recharge is not None and None in (self.range, self.return_to):
-            problem = f"{message('recharge', str(self.recharge))} without {called('range')} and {called('return_to')}"
-            raise PlanError(problem, source=source, fix=f"give both, or leave {called('recharge')} out")
+        for name in (name for name in AGAIN if getattr(self, name) is not None):
+            needed = ("range", "return_to")[name != "recharge" :]
+            if any(getattr(self, other) is None for other in needed):
+                problem = f"{message(name, exactly(getattr(self, name)))} without {' and '.join(map(called, needed))}"
+                fix = f"give {'it' if len(needed) == 1 else 'both'}, or leave {called(name)} out"
+                raise PlanError(problem, source=source, fix=fix)
 
     def described(self, pace: Pace = UNPACED) -> dict[str, str]:
         """Every setting by its title, for pages."""
@@ -497,6 +509,20 @@ class Choices(_Given):
                 values[name] = SETTINGS[name].before[value]
                 warn_renamed(argument(name, value), argument(name, values[name]))
         return {name: value for name, value in values.items() if value is not None}
+
+    @property
+    def searched(self) -> tuple[str, ...]:
+        """The settings that a search has to find."""
+        return tuple(name for name, (word, _) in SEARCHED.items() if getattr(self, name) == word)
+
+    def before_search(self) -> Choices:
+        """The same with the values that stand for those to find."""
+        return replace(self, **{name: SEARCHED[name][1] for name in self.searched})
+
+    def require_no_search(self, other: str) -> None:
+        """Raise UsageError for a search together with `other`, which needs none."""
+        for name in self.searched:
+            raise UsageError(f"both {argument(name, SEARCHED[name][0])} and {other}", expected="one of them")
 
     def over(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """The input's settings, replaced by these; a new policy discards the limits of the input's policy."""

@@ -444,26 +444,6 @@ def test_a_folder_keeps_what_was_read_from_it(tmp_path: Path, monkeypatch: pytes
     assert not Path("here/evaluation").exists(), "the same content replaces nothing"
 
 
-IDLE_OPTIONS = [
-    ("plan example:paper --altitude 3", "--altitude without --waypoints"),
-    ("plan p.json --seconds 5", "--seconds 5"),
-    ("threats example:paper", "threats needs --remove or --add"),
-    ("threats example:paper --remove 1 --p 0.3", "--p 0.3 with --remove"),
-    ("threats example:paper --add --unit areas", "--unit areas with --add"),
-    ("inspect p.json --all", "--all without --replay"),
-]
-
-
-@pytest.mark.parametrize(("words", "said"), IDLE_OPTIONS)
-def test_an_option_that_would_do_nothing_is_refused(
-    words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert run(["plan", "example:paper", "--out", "p.json"]) == 0
-    capsys.readouterr()
-    assert said in error_of(capsys, *words.split())
-
-
 def test_a_reader_that_goes_away_is_no_error_and_numba_imports_no_jax() -> None:
     script = (
         f"import sys; from analysis.cli.app import run; "
@@ -518,12 +498,6 @@ def test_commands_of_release_0_3_run_the_new_ones_after_one_line(
     assert seen == [RENAMED[old].split()]
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"note: `{old.split()[0]}` is now `{seen[0][0]} --")
-
-
-@pytest.mark.parametrize("words", ["graph x", "suite --only x", "reproduce policies", "reproduce moving --maps 2"])
-def test_commands_that_are_gone_print_one_line(words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(words.split()) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1
 
 
 @pytest.mark.parametrize("words", ["threats a.npz --remove", "threats --add a.npz", "threats a.npz --add --seed 2"])

@@ -7,7 +7,6 @@ import re
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 from zipfile import ZipFile
 
 import numpy as np
@@ -16,7 +15,12 @@ import rasterio
 import yaml
 from helpers import ROOT, error_of
 from jsonschema import Draft202012Validator
+from lxml import etree
 from matplotlib.path import Path as Outline
+from mavsdk.component_type import ComponentType
+from mavsdk.mavsdk import Configuration, Mavsdk
+from mavsdk.plugins.mission_raw.mission_raw import MissionImportData, MissionRaw
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from rasterio.features import rasterize
 
 import mrac_jax as mrac
@@ -52,12 +56,14 @@ def mission(request: pytest.FixtureRequest) -> tuple[World, Plan]:
 
 
 def cells_of(world: World, places: list[list[float]]) -> list[int]:
-    """The cells of the straight lines between longitudes and latitudes (PROJ)."""
-    east, north = zip(*places, strict=True)
+    """The cells of the straight lines between longitudes and latitudes."""
     place = world.georeference
-    if place.crs != "EPSG:4326":
-        east, north = rasterio.warp.transform("EPSG:4326", place.crs, east, north)
-    return cells_along(world, (np.stack([east, north], axis=-1) - place.origin) / place.scale)
+    return cells_along(world, (metres(place.crs, places) - place.origin) / place.scale)
+
+
+def metres(crs: Any, places: Any) -> np.ndarray:
+    """Longitudes and latitudes in a CRS (PROJ)."""
+    return np.transpose(rasterio.warp.transform("EPSG:4326", crs, *zip(*places, strict=True)))
 
 
 def cells_along(world: World, points: np.ndarray) -> list[int]:
@@ -80,8 +86,7 @@ def without_waits(cells: list[int]) -> list[int]:
 def routes(name: str, files: list[Path]) -> list[list[list[float]]]:
     """(longitude, latitude) of every robot, as a program of the format's users would find them."""
     if name == "qgc":
-        items = [json.loads(file.read_text())["mission"]["items"] for file in files]
-        return [[[i["params"][5], i["params"][4]] for i in item if i["command"] in (16, 22)] for item in items]
+        return [[[item.y / 1e7, item.x / 1e7] for item in uploaded(file).mission_items[1:]] for file in files]
     if name == "geojson":
         features = json.loads(files[0].read_text())["features"]
         return [f["geometry"]["coordinates"] for f in features if f["geometry"]["type"] == "LineString"]
@@ -90,7 +95,7 @@ def routes(name: str, files: list[Path]) -> list[list[list[float]]]:
     if name == "cot":
         found = [event for event in events(files[0]) if event.attrib["type"] == "b-m-r"]
         return [[linked(link) for link in event.iter("link")] for event in found]
-    top = ElementTree.parse(files[0]).getroot()
+    top = etree.parse(files[0]).getroot()
     if name == "gpx":
         found = [route.findall(f"{GPX}rtept") for route in top.findall(f"{GPX}rte")]
         return [[[float(point.attrib["lon"]), float(point.attrib["lat"])] for point in route] for route in found]
@@ -98,28 +103,45 @@ def routes(name: str, files: list[Path]) -> list[list[list[float]]]:
     return [[[float(part) for part in place.split(",")] for place in line.split()] for line in lines]
 
 
-def waylines(file: Path) -> ElementTree.Element:
+def uploaded(file: Path) -> MissionImportData:
+    """What MAVSDK reads in a `.plan` for a vehicle: messages of a mission, a geofence, and rally points."""
+    station = Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION))
+    station.add_any_connection("raw://")
+    # It reads for a vehicle that it has heard of.
+    vehicle = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, 0, 0, mavlink.MAV_STATE_STANDBY, 3
+    station.pass_received_raw_bytes(mavlink.MAVLink_heartbeat_message(*vehicle).pack(mavlink.MAVLink(None, 1, 1)))
+    found = MissionRaw(station.first_autopilot()).import_qgroundcontrol_mission(str(file))
+    station.destroy()
+    return found
+
+
+def named(enum: str, values: list[int]) -> list[str]:
+    """Names of MAVLink without the prefix."""
+    return [mavlink.enums[enum][value].name.removeprefix(f"{enum}_") for value in values]
+
+
+def waylines(file: Path) -> etree._Element:
     """What a DJI drone executes."""
     with ZipFile(file) as archive:
         assert archive.namelist() == ["wpmz/template.kml", "wpmz/waylines.wpml"]
-        return ElementTree.fromstring(archive.read("wpmz/waylines.wpml"))
+        return etree.fromstring(archive.read("wpmz/waylines.wpml"))
 
 
-def place_of(mark: ElementTree.Element) -> list[float]:
+def place_of(mark: etree._Element) -> list[float]:
     return [float(part) for part in (mark.findtext(f"{KML}Point/{KML}coordinates") or "").split(",")]
 
 
-def events(file: Path) -> list[ElementTree.Element]:
+def events(file: Path) -> list[etree._Element]:
     """The Cursor on Target events that the manifest of a data package lists."""
     with ZipFile(file) as archive:
-        manifest = ElementTree.fromstring(archive.read("MANIFEST/manifest.xml"))
+        manifest = etree.fromstring(archive.read("MANIFEST/manifest.xml"))
         assert (manifest.tag, manifest.attrib) == ("MissionPackageManifest", {"version": "2"})
         listed = [one.attrib["zipEntry"] for one in manifest.iter("Content")]
         assert ["MANIFEST/manifest.xml", *listed] == archive.namelist()
-        return [ElementTree.fromstring(archive.read(name)) for name in listed]
+        return [etree.fromstring(archive.read(name)) for name in listed]
 
 
-def linked(link: ElementTree.Element) -> list[float]:
+def linked(link: etree._Element) -> list[float]:
     north, east = link.attrib["point"].split(",")[:2]
     return [float(east), float(north)]
 
@@ -193,11 +215,7 @@ def test_areas_and_chances(tmp_path: Path, mission: tuple[World, Plan]) -> None:
     np.testing.assert_allclose(residual, threat * (1 - covered), atol=1e-6)
     areas = [feature for feature in features if feature["geometry"]["type"] == "Polygon"]
     for area, feature in zip(plan.areas, areas, strict=True):
-        rings = feature["geometry"]["coordinates"]
-        moved = [
-            list(zip(*rasterio.warp.transform("EPSG:4326", crs, *zip(*ring, strict=True)), strict=True))
-            for ring in rings
-        ]
+        moved = [metres(crs, ring).tolist() for ring in feature["geometry"]["coordinates"]]
         shape = {"type": "Polygon", "coordinates": moved}
         burnt = rasterize([shape], out_shape=world.shape, transform=transform, fill=0)
         assert np.flatnonzero(burnt).tolist() == area.cells.tolist()
@@ -246,9 +264,7 @@ def test_exports_are_cut_at_longitude_180(tmp_path: Path, monkeypatch: pytest.Mo
         polygons = shape["coordinates"] if shape["type"].startswith("Multi") else [shape["coordinates"]]
         burnt = np.zeros(world.shape, dtype=bool)
         for rings in polygons:
-            moved = [
-                np.transpose(rasterio.warp.transform("EPSG:4326", crs, *zip(*ring, strict=True))) for ring in rings
-            ]
+            moved = [metres(crs, ring) for ring in rings]
             if moved[0][:, 0].min() < 0 and turn:
                 moved = [ring + np.array([turn, 0]) for ring in moved]
             held = rasterize([{"type": "Polygon", "coordinates": [ring.tolist() for ring in moved]}],
@@ -257,16 +273,16 @@ def test_exports_are_cut_at_longitude_180(tmp_path: Path, monkeypatch: pytest.Mo
             burnt |= held > 0
         assert np.flatnonzero(burnt).tolist() == area.cells.tolist()
     (kml,) = mrac.export(world, plan, tmp_path / "out.kml")
-    top = ElementTree.parse(kml).getroot()
+    top = etree.parse(kml).getroot()
     assert len(list(top.iter(f"{KML}MultiGeometry"))) == sum(one["type"].startswith("Multi") for one in shapes)
     for places in top.iter(f"{KML}coordinates"):
-        east = [float(one.split(",")[0]) for one in (places.text or "").split()]
+        east = [float(one.split(",")[0]) for one in places.text.split()]
         assert max(east) - min(east) < 0.01 and max(map(abs, east)) <= 180
     for name in ("qgc", "gpx"):
         found = routes(name, mrac.export(world, plan, tmp_path / name, to=name))  # type: ignore[arg-type]
         for robot, route in zip(plan.robots, found, strict=True):
             assert max(abs(east) for east, _ in route) <= 180
-            points = np.transpose(rasterio.warp.transform("EPSG:4326", crs, *zip(*route, strict=True)))
+            points = metres(crs, route)
             points[points[:, 0] < 0, 0] += turn
             along = cells_along(world, (points - world.georeference.origin) / world.georeference.scale)  # type: ignore[union-attr]
             assert along == without_waits(robot.path.tolist())
@@ -372,16 +388,12 @@ def test_what_robots_believe_is_called_so(tmp_path: Path) -> None:
 
 
 def check_format(name: str, content: object) -> None:
-    """What a format's own reader asks for (`fixtures/formats`)."""
-    Draft202012Validator(json.loads((ROOT / f"tests/fixtures/formats/{name}.json").read_text())).validate(content)
-
-
-def as_dict(element: ElementTree.Element) -> dict[str, Any]:
-    """Attributes with @, and lists of children by name."""
-    found: dict[str, Any] = {f"@{name}": value for name, value in element.attrib.items()}
-    for child in element:
-        found.setdefault(child.tag.rpartition("}")[2], []).append(as_dict(child))
-    return found
+    """What a format's own reader asks for (`fixtures/formats`): of JSON, or of XML."""
+    file = ROOT / "tests/fixtures/formats" / name
+    if isinstance(content, etree._Element):
+        etree.RelaxNG(file=f"{file}.rng").assertValid(content)
+    else:
+        Draft202012Validator(json.loads(file.with_suffix(".json").read_text())).validate(content)
 
 
 def test_missions_take_off_hold_and_drive(tmp_path: Path) -> None:
@@ -389,19 +401,26 @@ def test_missions_take_off_hold_and_drive(tmp_path: Path) -> None:
     world = a_world()
     path = np.array([0, 1, 1, 1, 2])
     plan = Plan(world.shape, world.sha256, None, (RobotPlan(path),), outcome="end_of_paths")
-    for altitude, commands, vehicle in ((30.0, [178, 22, 16, 16], 2), (0.0, [178, 16, 16, 16], 10)):
+    for altitude, first, vehicle in ((30.0, "TAKEOFF", "QUADROTOR"), (0.0, "WAYPOINT", "GROUND_ROVER")):
         (file,) = mrac.export(world, plan, tmp_path / "a.plan", altitude=altitude, speed=2.0, force=True)
         content = json.loads(file.read_text())
         check_format("qgc", content)
-        assert content["mission"]["vehicleType"] == vehicle
-        items = content["mission"]["items"]
-        assert [item["command"] for item in items] == commands
-        assert [item["doJumpId"] for item in items] == [1, 2, 3, 4]
-        assert items[0]["params"][:2] == [1, 2.0]
-        assert [item["params"][0] for item in items[1:]] == [0, 2 * 4.0 / 2.0, 0]
-        assert {item["params"][6] for item in items[1:]} == {altitude}
+        assert named("MAV_TYPE", [content["mission"]["vehicleType"]]) == [vehicle]
+        assert [item["doJumpId"] for item in content["mission"]["items"]] == [1, 2, 3, 4]
+        items = uploaded(file).mission_items
+        commands = ["DO_CHANGE_SPEED", f"NAV_{first}", "NAV_WAYPOINT", "NAV_WAYPOINT"]
+        assert named("MAV_CMD", [item.command for item in items]) == commands
+        frames = ["MISSION", *["GLOBAL_RELATIVE_ALT"] * 3]
+        assert named("MAV_FRAME", [item.frame for item in items]) == frames
+        assert (items[0].param1, items[0].param2) == (1, 2.0)
+        assert [(item.param1, item.z) for item in items[1:]] == [
+            (0, altitude),
+            (2 * 4.0 / 2.0, altitude),
+            (0, altitude),
+        ]
         home = content["mission"]["plannedHomePosition"]
-        assert home[:2] == items[1]["params"][4:6] and abs(home[0] - 52) < 0.1 and abs(home[1] - 15) < 0.1
+        assert home[:2] == pytest.approx([items[1].x / 1e7, items[1].y / 1e7], abs=1e-7)
+        assert abs(home[0] - 52) < 0.1 and abs(home[1] - 15) < 0.1
 
 
 def test_more_waypoints_than_a_controller_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -420,8 +439,12 @@ def test_the_fence_holds_what_can_be_reached_and_rally_points_are_bases(tmp_path
     (file,) = mrac.export(world, plan, tmp_path / "a.plan")
     content = json.loads(file.read_text())
     check_format("qgc", content)
-    rings = [Outline([point[::-1] for point in one["polygon"]]) for one in content["geoFence"]["polygons"]]
-    assert [one["inclusion"] for one in content["geoFence"]["polygons"]] == [True, False]
+    read = uploaded(file)
+    kinds = [f"NAV_FENCE_POLYGON_VERTEX_{kind}" for kind in ("INCLUSION", "EXCLUSION")]
+    corners = zip(named("MAV_CMD", [one.command for one in read.geofence_items]), read.geofence_items, strict=True)
+    fence = [(kind, corner.y / 1e7, corner.x / 1e7) for kind, corner in corners]
+    rings = [Outline([place for own, *place in fence if own == kind]) for kind in kinds]
+    assert {kind for kind, *_ in fence} == {*kinds}
     centres = np.transpose(rasterio.warp.transform("EPSG:32633", "EPSG:4326", *world.to_xy(np.arange(80)).T))
     held = rings[0].contains_points(centres) & ~rings[1].contains_points(centres)
     assert held.tolist() == world.accessible([[0, 0]]).ravel().tolist()
@@ -430,8 +453,8 @@ def test_the_fence_holds_what_can_be_reached_and_rally_points_are_bases(tmp_path
     rough[1::2, 1::2] = np.nan
     many = World.create(rough, None, 4.0, world.origin, georeference=world.georeference)
     assert "corners, and PX4 takes 64" in FORMATS["qgc"].notes(make_mission(many, mrac.plan(many)))[0]
-    found = np.array(content["rallyPoints"]["points"])
-    np.testing.assert_allclose(found[:, 1::-1], centres[[0, 70]], atol=1e-8)
+    found = np.array([(one.y, one.x) for one in read.rally_items]) / 1e7
+    np.testing.assert_allclose(found, centres[[0, 70]], atol=1e-7)
 
 
 def dem(path: Path, world: World, shift: float = 0.0) -> Path:
@@ -456,7 +479,9 @@ def test_heights_above_the_ground(tmp_path: Path) -> None:
     check_format("qgc", content)
     assert content["mission"]["firmwareType"] == 3 and content["mission"]["globalPlanAltitudeMode"] == 4
     items = [item for item in content["mission"]["items"] if item["frame"] == 10]
-    assert [(item["Altitude"], item["params"][6]) for item in items] == [(30.0, 30.0)] * 2
+    sent = uploaded(file).mission_items[1:]
+    assert named("MAV_FRAME", [item.frame for item in sent]) == ["GLOBAL_TERRAIN_ALT"] * 2
+    assert [(item["Altitude"], one.z) for item, one in zip(items, sent, strict=True)] == [(30.0, 30.0)] * 2
     assert [item["AMSLAltAboveTerrain"] for item in items] == pytest.approx([flat[0] + 30, flat[8] + 30], abs=0.02)
     (file,) = mrac.export(world, plan, tmp_path / "a.csv", terrain=ground, altitude=30.0)
     found = [float(row["z"]) for row in csv.DictReader(file.read_text().splitlines())]
@@ -493,12 +518,10 @@ def test_flights_of_dji_drones(tmp_path: Path) -> None:
         joined: list[int] = []
         for file in files:
             top = waylines(file)
-            check_format("wpml", as_dict(top))
+            check_format("wpml", top)
             marks = list(top.iter(f"{KML}Placemark"))
             assert [mark.findtext(f"{WPML}index") for mark in marks] == [str(n) for n in range(len(marks))]
-            points = np.array(
-                rasterio.warp.transform("EPSG:4326", "EPSG:32633", *zip(*map(place_of, marks), strict=True))
-            ).T
+            points = metres("EPSG:32633", map(place_of, marks))
             base = world.to_xy(np.array([0]))
             lengths = np.linalg.norm(np.diff(np.concatenate([base, points, base]), axis=0), axis=1)
             assert (lengths.sum() + 2 * 20.0) / 5.0 <= limit
@@ -537,7 +560,7 @@ def test_events_for_tak(tmp_path: Path) -> None:
     ]  # fmt: skip
     assert len({event.attrib["uid"] for event in found}) == len(found)
     for event in found:
-        check_format("cot", as_dict(event))
+        check_format("cot", event)
         assert event.attrib["stale"] > event.attrib["start"]
     for area, event in zip(plan.areas, [one for one in found if one.attrib["type"] == "u-d-f"], strict=True):
         ring = [linked(link) for link in event.iter("link")]
@@ -652,14 +675,9 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeyp
     assert run(["export", "w.npz", "--state", "t.csv", "--out", "b.csv"]) == 0
     assert Path("a.csv").read_text() == Path("b.csv").read_text()
     capsys.readouterr()
-    for words, said in (
-        ("export w.npz --out w.npz", "no format has the suffix '.npz'"),
-        ("export w.npz --to kml --out w.csv", "--out w.csv ends in '.csv'"),
-        ("export w.npz --out a.plan --speed 0", "--speed 0"),
-        ("export w.npz --out a.plan --to plan", "--to 'plan'; expected qgc or nav2"),
-        ("plan w.npz --waypoints a.plan --altitude 1e9", "--altitude 1e+09"),
-    ):
-        assert said in error_of(capsys, *words.split())
+    assert "--seconds 5 where nothing is searched for" in error_of(capsys, *["plan", "p.json", "--seconds", "5"])
+    assert "--altitude 1e+09" in error_of(capsys, *["plan", "w.npz", "--waypoints", "a.plan", "--altitude", "1e9"])
+    assert "no format has the suffix '.npz'" in error_of(capsys, *["export", "w.npz", "--out", "w.npz"])
     Path("m.csv").write_text("0,0\n0,0\n")
     assert run(["export", "m.csv", "--out", "m.csv"]) == 2
     assert "m.csv is an input" in capsys.readouterr().err and Path("m.csv").read_text() == "0,0\n0,0\n"

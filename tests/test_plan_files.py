@@ -40,7 +40,7 @@ from planner.formatting import UNITS, UNPACED, Pace, seconds_of
 from planner.make_plan import confirm_plan, make_plan, read_plan
 from planner.open_loop import plan_team
 from planner.plan.plan import Area, Leg, Plan, RobotPlan, headings, waypoints_csv
-from planner.settings import SETTINGS, Choices, Settings
+from planner.settings import AGAIN, SETTINGS, Choices, Settings
 from planner.simulator.codes import Outcome
 from planner.world.scenario import load_input
 from planner.world.start_rule import place_starts
@@ -621,7 +621,7 @@ OTHER = {
     "policy": "per_cell", "risk_cap": 0.5, "robot_value": 7.5,
     "plan_for": "open_loop", "effort": 7, "range": 9, "deadline": 30,
     "weibull_shape": 2.5, "hazard_multiplier": 0.5, "return_to": "nearest", "recharge": 4, "deliver_every": 3,
-    "in_area": "boustrophedon", "types": "rover", "steps_per_move": 2, "radio": 4.5,
+    "deliver_value": 12.5, "in_area": "boustrophedon", "types": "rover", "steps_per_move": 2, "radio": 4.5,
     "priority": 5, "wrecks": "block",
 }  # fmt: skip
 WRONG = {
@@ -629,13 +629,13 @@ WRONG = {
     "policy": "bold", "risk_cap": 1.5, "robot_value": 0.0,
     "plan_for": "both", "effort": -1, "range": -1, "deadline": -1,
     "weibull_shape": 0.1, "hazard_multiplier": 65.0, "return_to": "base", "recharge": 0, "deliver_every": 0,
-    "in_area": "spiral", "types": "", "steps_per_move": 0, "radio": 0.0,
+    "deliver_value": 0.0, "in_area": "spiral", "types": "", "steps_per_move": 0, "radio": 0.0,
     "priority": 0, "wrecks": "sink",
 }  # fmt: skip
 NEEDS = {name: {"policy": "per_cell"} for name in ("risk_cap", "robot_value", "priority")} | {
     "effort": {"plan_for": "open_loop"}
 }
-NEEDS |= {"recharge": {"range": 9, "return_to": "home"}, "deliver_every": {"return_to": "home"}}
+NEEDS |= {name: {"return_to": "home"} for name in AGAIN} | {"recharge": {"range": 9, "return_to": "home"}}
 """What else has to be chosen."""
 
 

@@ -1,6 +1,7 @@
 """Robots with a range, and robots that come home."""
 
 import heapq
+import json
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +13,9 @@ from helpers import VisitLoop, assert_same_trace, delivered, load_plan, play_bot
 from numpy.typing import NDArray
 from validate import validate
 
+from analysis.cli.app import run as run_command
 from analysis.comparison import compare, make_side, summary
+from analysis.estimators.racing import deliveries, plan_best
 from analysis.estimators.trial import Trial
 from analysis.evaluation.evaluate import evaluate
 from analysis.sampling import RolloutChoices
@@ -211,13 +214,50 @@ def test_a_charged_robot_goes_out_again_by_hand() -> None:
     assert (without.outcome, len(np.unique(without.robots[0].path))) == ("no_progress", 5)
 
 
-def test_a_robot_delivers_two_cells_at_a_time_by_hand() -> None:
-    plan = make_plan(corridor(7, 0.05), [[0, 0]], Settings(return_to="home", deliver_every=2))
-    trips = ([*range(most), *range(most, 0, -1), 0] for most in (2, 4, 6))
-    assert plan.robots[0].path.tolist() == [cell for trip in trips for cell in trip]
-    answer = evaluate(corridor(7, 0.05), plan, RolloutChoices(rollouts=2000))
-    passes = (1 - float(np.float32(0.05))) ** np.array([0, 3, 10, 21])
-    assert answer.delivered is not None and answer.delivered.cells == pytest.approx(passes @ [1, 2, 2, 2])
+def trips(turns: list[int], p: float) -> float:
+    """Cells delivered by trips from the start of a corridor to each of these cells and back: 2 n - 1 are dangerous."""
+    passed = (1 - float(np.float32(p))) ** np.cumsum(2 * np.array(turns) - 1)
+    return 1 + float(passed @ np.diff([0, *turns]))
+
+
+@pytest.mark.parametrize(("asked", "turns"), [({"deliver_every": 2}, [2, 4, 6]), ({"deliver_value": 0.3}, [2, 3, 6])])
+def test_a_robot_delivers_cells_or_their_value_by_hand(asked: dict[str, Any], turns: list[int]) -> None:
+    """The start counts as delivered. As float64, .1 + .2 is not .3."""
+    world = replace(corridor(7, 0.05), value=np.array([[9, 0.1, 0.2, 0.3, 0, 0.1, 0.2]]))
+    plan = make_plan(world, [[0, 0]], Settings(return_to="home", **asked))
+    assert plan.robots[0].path.tolist() == [cell for most in turns for cell in [*range(most), *range(most, 0, -1), 0]]
+    answer = evaluate(world, plan, RolloutChoices(rollouts=2000))
+    assert answer.delivered is not None and answer.delivered.cells == pytest.approx(trips(turns, 0.05))
+
+
+def brought_by(plan: Plan, world: World) -> float:
+    """Cells that it delivers, by enumeration."""
+    p = np.nan_to_num(world.threat).ravel().astype(np.float64)
+    return float(expected(closed_loop(plan, world), lambda chance, _, cell: chance(p[cell]))[-1])
+
+
+def test_auto_delivers_most_of_the_numbers_that_it_tries(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    """By the enumeration of tiny worlds, and in a corridor by hand."""
+    chosen, settings = [], Settings(return_to="home")
+    for number in (0, 1, 2, 6, 8):
+        world, starts = tiny(number)
+        tried = [replace(settings, deliver_every=most) for most in deliveries(world, np.array(starts), settings)]
+        best = plan_best(world, np.array(starts), settings, None, "deliver_every")
+        got, *others = (brought_by(plan, world) for plan in [best, *(make_plan(world, starts, one) for one in tried)])
+        assert got == pytest.approx(max(others)) and best.settings is not None
+        chosen.append(best.settings.deliver_every)
+    assert None in chosen and any(chosen)
+    (tmp_path / "c.csv").write_text("0,.2,.2,.2,.2,.2\n")
+    by_hand = {most: trips([*range(most, 5, most), 5], 0.2) for most in (1, 2, 3, 5)}
+    most = max(by_hand, key=lambda one: by_hand[one])
+    words = ["evaluate", str(tmp_path / "c.csv"), "--return-to", "home", "--deliver-every", "auto", "--rollouts", "64"]
+    assert run_command([*words, "--json"]) == 0
+    said = capsys.readouterr()
+    found = json.loads(said.out)
+    assert found["plan"]["settings"]["deliver_every"] == most
+    assert found["coverage"]["delivered"]["mean"] == pytest.approx(by_hand[most] / 6)
+    gain = (by_hand[most] - by_hand[5]) / 6 * 100
+    assert f"deliver every {most}, {gain:.2f} points (exact) more delivered than mrac" in said.err
 
 
 @pytest.mark.parametrize("number", [0, 1, 2, 3, 4, 7])
@@ -441,7 +481,7 @@ def test_all_that_can_happen_to_teams_that_come_home(number: int) -> None:
     if world.phases is not None or number > 9:
         return
     p = np.nan_to_num(world.threat).ravel().astype(np.float64)
-    *_, brought = expected(closed_loop(plan, world), lambda chance, _, cell: chance(p[cell]))
+    brought = brought_by(plan, world)
     assert tree.covered("delivered") == pytest.approx((brought, brought)) and brought < visited
     *_, brought = expected(open_loop(plan, world), lambda chance, _, cell: chance(p[cell]))
     assert open_loop_exact(plan, world).delivered == pytest.approx(brought)

@@ -17,7 +17,6 @@ from helpers import answer_of
 from oracle_tree import closed_loop_exact
 
 import mrac_jax as mrac
-from analysis.cli.app import run
 from analysis.estimators import racing as best
 from analysis.estimators.racing import Halving, contenders, schedule
 from analysis.estimators.trial import Known, Sampled, Trial
@@ -39,7 +38,6 @@ from analysis.utils.tables import policy_text
 from planner.errors import WorldError
 from planner.make_plan import make_plan
 from planner.plan.plan import Plan
-from planner.policies import RULES
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.exact_tree import WHOLE, Tree, grow_tree
 from planner.rollouts.tables import AllPairs
@@ -450,7 +448,7 @@ def test_on_small_maps_it_is_no_less_than_the_best_by_all_that_can_happen(monkey
         starts = place_starts(world, 2)[0]
         plans = [make_plan(world, starts, one) for one in contenders(Settings(), 2)]
         covered = [all_of(plan, world).visited for plan in plans]
-        found = best.plan_best(world, starts, Settings())
+        found = best.plan_best(world, starts, Settings(), None, "policy")
         visited = all_of(found, world).visited
         assert visited >= max(covered) - 1e-6
         more += visited > max(covered) + 1e-6
@@ -495,15 +493,6 @@ def test_one_sentence_says_what_was_found_and_what_no_strategy_exceeds() -> None
     assert limit is not None and 0 <= float(most.split(" %")[0]) - 100 * limit.mean <= 0.01
     assert plan.settings is not None and name == policy_text(plan.settings)
     assert not any("No strategy" in line for line in shown.findings)
-
-
-def test_where_it_cannot_be_asked(capsys: pytest.CaptureFixture[str]) -> None:
-    world = ["example:paper", "--robots", "2"]
-    for words in (["--policy", "best", "--plan", "x.json"], ["--policy", "best", "--plan-for", "open_loop"]):
-        assert run(["evaluate", *world, *words]) == 2
-        assert capsys.readouterr().err.startswith("error: ")
-    assert run(["size", "example:paper", "--policy", "best"]) == 2
-    assert capsys.readouterr().err == f"error: --policy 'best'; expected {' or '.join(RULES)}\n"
 
 
 # What searches say of their picks, sampled, against the same searches with every value exact: as often as they say.

@@ -12,11 +12,11 @@ from cyclopts import Parameter
 from analysis import api
 from analysis.cli.console import DONE, check_files, check_folder, deliver, load_or_make_plan, may_replace, show
 from analysis.cli.options import (
-    ANY_POLICY,
     COMPARED,
     INPUT,
     ONE_PLAN,
     PLANNING,
+    SEARCHES,
     SECOND,
     TAKING_OVER,
     THE_TEAM,
@@ -29,7 +29,7 @@ from analysis.cli.options import (
 )
 from analysis.utils.notes import say
 from planner.errors import InputError, UsageError
-from planner.settings import BEST, OUTPUT
+from planner.settings import OUTPUT
 
 if TYPE_CHECKING:
     from analysis.evaluation.evaluate import Evaluation
@@ -44,7 +44,7 @@ ANSWER, PLACE = "Answer", "Place"
     ANSWER, api.evaluate, THE_TEAM, PLANNING, "plan state", ONE_PLAN, "seconds",
     "Rollouts: threat_scale? sensor_range?",
     "bound theory", "Output: advice? marginal_risk?", "out json",
-    policy=ANY_POLICY,
+    **SEARCHES,
     theory=option(OUTPUT, "List the paper's formulas, each with a verdict.", "flag", default=False, rare=True),
     out="Write the page, pictures, plan and JSON to this folder.",
 )  # fmt: skip
@@ -55,7 +55,7 @@ def evaluate(source: INPUT, /, given: Given) -> int:
     from analysis.utils.progress import show_progress
 
     check_folder(given.out)
-    asked, sought = replace(given.asked(source), sensor_range=None), given.seconds if given.policy == BEST else None
+    asked = replace(given.asked(source), sensor_range=None)
     early = list[str]()
 
     def first(world: World) -> None:
@@ -66,7 +66,8 @@ def evaluate(source: INPUT, /, given: Given) -> int:
         early.extend(world.notes)
         say(early)
 
-    world, made, notes = load_or_make_plan(asked, given.plan, given.state, first=first, seconds=sought)
+    seconds = given.seconds if asked.choices.searched else None
+    world, made, notes = load_or_make_plan(asked, given.plan, given.state, first=first, seconds=seconds)
     earlier: Report | None = None
 
     def show_soon(found: Evaluation) -> None:

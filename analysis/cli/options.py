@@ -25,7 +25,20 @@ from analysis.utils.notes import say
 from planner.arguments import ANY, Numbers, did_you_mean, exactly
 from planner.errors import UsageError
 from planner.formatting import SPANS, seconds_of
-from planner.settings import BEST, GOAL, GROUPS, OPTIONS, OUTPUT, ROLLOUTS, SETTINGS, SURVEY, TEAM, Choices, Setting
+from planner.settings import (
+    AUTO,
+    BEST,
+    GOAL,
+    GROUPS,
+    OPTIONS,
+    OUTPUT,
+    ROLLOUTS,
+    SETTINGS,
+    SURVEY,
+    TEAM,
+    Choices,
+    Setting,
+)
 
 if TYPE_CHECKING:
     from analysis.inputs import Asked, Task
@@ -155,6 +168,7 @@ KINDS: dict[str, tuple[Any, Callable[[str, str], Any]]] = {
     "numbers": (str, _each(parse_number)), "time": (str, _deadline), "places": (str, _places), "cells": (str, _cells),
     "names": (str, _each(_text)), "text": (str, _text), "path": (Path, _path), "list": (str, _list),
     "effort": (str, _exactness), "ids": (str, _ids), "picks": (str, _picks),
+    "auto": (str, lambda text, name: text if text == AUTO else parse_whole(text, name)),
     "reach": (float, lambda text, name: inf if text == "inf" else parse_number(text, name)),
 }  # fmt: skip
 VERBATIM = converter(_text)
@@ -412,4 +426,8 @@ TAKING_OVER = " ".join(name for name in PLANNING.split() if name not in GROUPS["
 ONE_PLAN = "loop rollouts precision deadline seed engine exact threat_checks"
 COMPARED = "rollouts deadline seed engine threat_checks exact"
 """Rollouts of compared plans, on common random numbers."""
-ANY_POLICY = of("policy", words=(*OPTIONS["policy"].words, BEST))
+SEARCHES = {
+    "policy": of("policy", words=(*OPTIONS["policy"].words, BEST)),
+    "deliver_every": of("deliver_every", form="auto", help=OPTIONS["deliver_every"].help + " auto: found by a search."),
+}
+"""Options of commands that may search for a plan's settings (`planner.settings.SEARCHED`)."""

@@ -38,7 +38,7 @@ from planner.rollouts.engine import choose_engine
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.tables import AllPairs, by_price
 from planner.rollouts.threshold_classes import sums_by_threshold
-from planner.settings import BEST, MOST_PRIORITY, Settings
+from planner.settings import AUTO, MOST_PRIORITY, SEARCHED, Settings
 from planner.simulator.codes import Outcome
 from planner.tally import RolloutResults
 from planner.world.uncertain_maps import LARGEST, Hazard, Uncertain
@@ -353,7 +353,8 @@ def _covered(trial: Trial, exact: bool) -> float:
 # t = 0 shared or not; `per_cell`; and the paper's rule. Then the order of the areas is improved.
 
 SHARES = (1 / 8, 1 / 4, 1 / 2)
-"""Shares of the robots alive that may be at risk at once; a single robot is raced too."""
+"""Shares of the robots alive that may be at risk at once (a single robot is raced too), and shares of a robot's part of
+the cells that it carries home at once."""
 ALONE = 1e6
 """A density d at which no safe area is shared at t = 0."""
 BASE = PER_CELL.name
@@ -371,22 +372,32 @@ class _TimeOver(Exception):
     """Ends the race; it is caught in `plan_best`."""
 
 
-def plan_best(world: World, starts: NDArray[np.int64], settings: Settings, seconds: float | None = None) -> Plan:
-    """The plan of the best of `contenders`; its last note names the setting and its gain.
+def plan_best(
+    world: World, starts: NDArray[np.int64], settings: Settings, seconds: float | None, *searched: str
+) -> Plan:
+    """The plan of the best of `contenders` and `deliveries`; its last note names the setting and its gain.
 
     Args:
         world, starts: the map, and int64 `[K, 2]`. settings: common settings of all candidates.
-        seconds: time limit of the race (default: SECONDS). A race that ends earlier gives the same plan everywhere.
+        seconds: time limit of the race (None: SECONDS). A race that ends earlier gives the same plan everywhere.
+        searched: what to search for, one or more of SEARCHED. With `deliver_every` the best is the one that delivers
+            most cells.
 
     Raises:
         InputError: the world or the settings are not supported.
     """
     POSITIVE.check("seconds", seconds, optional=True)
-    choices = RolloutChoices(rollouts=USUAL, seed=SEARCH_SEED)
-    check_search(world, settings, choices, argument("policy", BEST))
-    raced, kept = contenders(settings, len(starts)), AllPairs()
+    asked, delivers = argument(searched[0], SEARCHED[searched[0]][0]), "deliver_every" in searched
+    if delivers and settings.return_to is None:
+        fix = f"give it, or leave {argument('deliver_every')} out"
+        raise PlanError(f"{argument('deliver_every', AUTO)} without {argument('return_to')}", fix=fix)
+    choices = RolloutChoices(rollouts=USUAL, seed=SEARCH_SEED, metric="delivered" if delivers else "visited")
+    check_search(world, settings, choices, asked)
+    raced, kept = contenders(settings, len(starts)) if "policy" in searched else [settings], AllPairs()
+    if delivers:
+        raced = [replace(one, deliver_every=most) for most in deliveries(world, starts, settings) for one in raced]
     makers = [partial(_trial, world, starts, one, choices, kept) for one in raced]
-    for maker in (makers[0], makers[1], makers[-1]):  # compile before the clock starts
+    for maker in (*makers[:2], makers[-1]):  # compile before the clock starts
         maker().sample(0, 1)
     race, ends = Halving(makers, USUAL), time.perf_counter() + (seconds or SECONDS)
 
@@ -400,7 +411,7 @@ def plan_best(world: World, starts: NDArray[np.int64], settings: Settings, secon
     except _TimeOver:
         in_time = False
     found, maker = raced[race.best], makers[race.best]
-    if in_time and can_order(found):
+    if in_time and "policy" in searched and can_order(found):
         tries = round(TRIES * (seconds or SECONDS))
         found = order_areas(world, starts, found, choices, kept, tries, lambda: time.perf_counter() < ends)
         ordered = partial(_trial, world, starts, found, choices, kept)
@@ -411,7 +422,7 @@ def plan_best(world: World, starts: NDArray[np.int64], settings: Settings, secon
     # Rollouts from id USUAL on had no part in the choice, so that the gain is unbiased.
     best, plain = alike([maker(), makers[0]()], USUAL, USUAL)
     gain = best.ahead(plain, best.counted, 1.0 / best.largest(best.counted))
-    gained = gain.more(100, " points", ("more", "less"))
+    gained = gain.more(100, " points", ("more", "less")) + " delivered" * delivers
     more = f", {gained} than {policy_text(raced[0])} on other random numbers" if found != raced[0] else ""
     over = "" if in_time else f"; the search ended after {seconds or SECONDS:g} s"
     note = f"{BEST_OF}{counted(len(raced), 'setting')} is {policy_text(found)}{more}{over}"
@@ -433,6 +444,13 @@ def contenders(settings: Settings, robots: int) -> list[Settings]:
     return [replace(settings, policy=policy) for policy in (DEFAULT, BASE)[limited:]] + [
         replace(watchful, risk_cap=risk_cap, density=density) for density in densities for risk_cap in risk_caps
     ]
+
+
+def deliveries(world: World, starts: NDArray[np.int64], settings: Settings) -> list[int | None]:
+    """Cells with which a robot returns: only at the end, then those of a mean area, and SHARES of a robot's part."""
+    areas, cells = len(allocated_plan(world, starts, settings).areas), int(world.accessible(starts).sum())
+    counts = {max(round(cells * share), 1) for share in (1 / areas, *(share / len(starts) for share in SHARES))}
+    return [None, *sorted(counts)]
 
 
 def _trial(

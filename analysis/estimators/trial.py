@@ -34,7 +34,7 @@ from planner.rollouts.closed_loop import compile_closed_loop, tally_from
 from planner.rollouts.engine import Engine, closed_loop_engine, run_chunks, run_with_threshold_sums
 from planner.rollouts.exact_tree import CHEAP, WHOLE, Tree, grow_tree
 from planner.rollouts.loop import ClosedLoop
-from planner.rollouts.tables import AllPairs
+from planner.rollouts.tables import UNITS, AllPairs
 from planner.rollouts.threshold_classes import classes_by_threshold
 from planner.simulator.jit import INTERPRETED
 from planner.simulator.state import MOST_PASSES, Counts
@@ -153,10 +153,7 @@ def _as_json(low: float, high: float) -> float | list[float]:
     return low if low == high else [low, high]
 
 
-# Value covered in each rollout, in integers, which add exactly.
-
-UNITS = 2**40
-"""The value of all cells in integer units: rounding is 1e-12 of it a cell."""
+# Value covered in each rollout, in integers, which add exactly: rounding is 1e-12 of the total a cell.
 
 
 def units_of(cell_values: CellValues) -> NDArray[np.float64]:

@@ -11,6 +11,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import numpy as np
+import yaml
 from scipy import ndimage
 
 from analysis.exporting.mission import KML, Feature, Mission, Position, Stop, colour_of, features, polygons
@@ -22,13 +23,6 @@ from planner.plan.plan import DECIMALS, headings
 
 # Poses for nav2, one file for each robot: the goal of FollowWaypoints or NavigateThroughPoses, as YAML.
 
-POSE = (
-    "- header: {{frame_id: map}}\n"
-    "  pose:\n"
-    "    position: {{x: {x}, y: {y}, z: 0.0}}\n"
-    "    orientation: {{x: 0.0, y: 0.0, z: {z}, w: {w}}}\n"
-)
-"""A geometry_msgs/PoseStamped; stamp 0 means the latest transform."""
 PRESUMED = (
     "# A pose ends a straight run along cells of {cell:g} m. Presumed: footprint and inflation fit into a cell, so\n"
     "# that the costmap leaves the straight way free; xy_goal_tolerance of the goal checker is below {half:g} m, so\n"
@@ -44,18 +38,15 @@ def nav2_poses(mission: Mission, robot: int) -> str:
     path = mission.plan.robots[robot].path
     steps = np.array([stop.step for stop in mission.stops(robot)])
     points, yaws = mission.world.to_xy(path[steps]), headings(path, mission.world)[steps]
-    poses = [
-        POSE.format(x=_number(x), y=_number(y), z=_number(math.sin(yaw / 2), 12), w=_number(math.cos(yaw / 2), 12))
-        for (x, y), yaw in zip(points.tolist(), yaws.tolist(), strict=True)
-    ]
+    places, turns = np.round(points, DECIMALS) + 0.0, np.round([np.sin(yaws / 2), np.cos(yaws / 2)], 12).T + 0.0
+    poses = [  # geometry_msgs/PoseStamped; without a stamp it is 0, the latest transform
+        {"header": {"frame_id": "map"}, "pose": {"position": {"x": x, "y": y, "z": 0.0},
+                                                 "orientation": {"x": 0.0, "y": 0.0, "z": z, "w": w}}}
+        for (x, y), (z, w) in zip(places.tolist(), turns.tolist(), strict=True)
+    ]  # fmt: skip
     cell = mission.world.cell_size
     presumed = PRESUMED.format(cell=cell, half=cell / 2)
-    return f"# robot {robot}\n{presumed}poses:\n{''.join(poses)}"
-
-
-def _number(value: float, decimals: int = DECIMALS) -> str:
-    """A float in YAML 1.1 syntax, which needs a decimal point."""
-    return f"{round(value, decimals) + 0.0:.{decimals}f}"
+    return f"# robot {robot}\n{presumed}" + yaml.safe_dump({"poses": poses}, sort_keys=False)
 
 
 # The graph of the areas for nav2's route server: GeoJSON in metres, as its GeoJsonGraphFileLoader reads.

@@ -273,18 +273,21 @@ def _clear_table(clearing: Clearing) -> Table:
         Column("cells", lambda one: len(one.threat.cells)),
         Column("p, %", lambda one: chance(one.threat.p, unit="")),
         Column("lost in it", lambda one: f"{one.hits:.3f}"),
-        Column("bound", lambda one: f"{one.screen:.2f}"),
-        Column("replanned", lambda one: one.known and one.known.counted, "from .. to"),
-        Column("old plan", lambda one: one.unknown.counted, "from .. to"),
-        Column("rollouts", _rolled),
+        *_gain_columns("replanned", "old plan"),
     )  # fmt: skip
     title = f"{KINDS_OF_GAIN[clearing.unit]} gained on average by removing one threat"
     dropped = ("rollouts", "bound", "lost in it", *["at"] * (clearing.remove == "areas"), "from .. to")
     return table_of(columns, _ranked(clearing)[:CLEAR_SHOWN], title, dropped, padding=(0, 1, 0, 0))
 
 
-def _rolled(one: ThreatCost) -> str:
-    return f"{one.known.rollouts:,}" if one.known is not None and one.known.rollouts else ""
+def _gain_columns(known: str, unknown: str) -> tuple[Column, ...]:
+    """The columns of the bound, of the gains if the team replans and if it keeps its plan, and of rollouts."""
+    return (
+        Column("bound", lambda one: None if one.screen is None else f"{one.screen:.2f}"),
+        Column(known, lambda one: one.known and one.known.counted, "from .. to"),
+        Column(unknown, lambda one: one.unknown.counted, "from .. to"),
+        Column("rollouts", lambda one: f"{one.known.rollouts:,}" if one.known and one.known.rollouts else ""),
+    )
 
 
 def _ranked(clearing: Clearing) -> list[ThreatCost]:
@@ -400,10 +403,7 @@ def _attack_table(attack: Attack) -> Table:
     columns = (
         Column("cell", lambda one: one.threat.name.removeprefix("cell "), words=True),
         Column("p there, %", lambda one: chance(float(threat[one.threat.cells[0]]), unit="")),
-        Column("bound", lambda one: None if one.screen is None else f"{one.screen:.2f}"),
-        Column("known", lambda one: one.known.counted, "from .. to"),
-        Column("hidden", lambda one: one.unknown.counted, "from .. to"),
-        Column("rollouts", _rolled),
+        *_gain_columns("known", "hidden"),
     )
     shown = [one for one in attack.turn.simulated[:ATTACK_SHOWN] if one.known is not None]
     title = f"{'Cells' if attack.world.value is None else 'Value'} lost on average by one threat"

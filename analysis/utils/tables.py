@@ -265,7 +265,7 @@ def _flat(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
 
 def policy_text(settings: Settings) -> str:
     """A policy and its limits: "watchful, risk cap 0.25, optimised order of areas"."""
-    limits = {name: getattr(settings, name) for name in ("risk_cap", "robot_value", "density")}
+    limits = {name: getattr(settings, name) for name in ("risk_cap", "robot_value", "density", "deliver_every")}
     own = [
         f"{SETTINGS[name].title} {value:g}" for name, value in limits.items() if value != getattr(type(settings), name)
     ]

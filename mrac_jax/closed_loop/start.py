@@ -46,6 +46,7 @@ def check_supported(loop: ClosedLoop) -> None:
         argument("types"): len(t.type_of) > 0,
         argument("steps_per_move"): len(t.pace) > 0,
         argument("deliver_every"): t.deliver_every > 0,
+        argument("deliver_value"): t.deliver_value > 0,
         argument("radio"): len(t.reach) > 0,
     }
     for kind, asked in ((WorldError, of_the_map), (UsageError, options)):

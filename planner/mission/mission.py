@@ -26,7 +26,7 @@ from planner.mrac.problem import NO_LIMIT, ready_loop
 from planner.plan.plan import Plan
 from planner.plan.state import MissionState
 from planner.rollouts.single_run import NOT_BEGUN, state_of
-from planner.settings import Settings
+from planner.settings import AGAIN, Settings
 from planner.simulator.codes import Doing, Outcome
 from planner.world.world import World
 
@@ -81,7 +81,7 @@ class Mission:
         """Begin to follow a plan; `before`: cells that could be visited before a wreck blocked one."""
         # There are no rules yet for reports of robots that differ, or that recharge.
         problem, areas = ready_loop(plan, world)
-        problem.settings.require_uniform("a mission that is driven", "recharge", "deliver_every")
+        problem.settings.require_uniform("a mission that is driven", *AGAIN)
         self.world, self._plan = world, plan
         within, free = problem.levels.accessible, world.free.ravel()
         cut_off = (self.cut_off | dict(before or {})).items()

@@ -20,6 +20,7 @@ from planner.rollouts.closed_loop import compile_closed_loop, logged_rollouts, t
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.runners import Runner
 from planner.rollouts.tables import first_frames
+from planner.settings import AGAIN
 from planner.simulator.areas import FRAME_AREA, FRAME_DOING, FRAME_ROWS, Log
 from planner.simulator.codes import ACTS, LANDING, NO_AREA, NO_ROBOT, NONE, STARTING, Doing, EventKind, Outcome
 from planner.simulator.jit import interpreted
@@ -449,7 +450,7 @@ def state_of(run: SingleRun, problem: Problem, cumulative_hazard: Sequence[int] 
             robot may exceed every threshold that can be drawn: then the largest possible value is kept.
     """
     world, settings, loop = problem.world, problem.settings, run.loop
-    settings.require_uniform("the state of a mission", "recharge", "deliver_every")
+    settings.require_uniform("the state of a mission", *AGAIN)
     known, home, cells, delivers = None, problem.home, loop.cells, loop.delivers
     if cumulative_hazard is not None and settings.weibull_shape != 1:
         known = np.minimum(cumulative_hazard, settings.failure_model().most(loop.robots)).tolist()

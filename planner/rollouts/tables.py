@@ -12,6 +12,7 @@ from numba.core.errors import NumbaError
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from planner.arguments import argument
 from planner.errors import PlanError
 from planner.failure_model import PLAIN, FailureModel
 from planner.mrac.problem import Problem, Unknown
@@ -57,6 +58,8 @@ row costs as much as several searches, on smaller maps hardly more than one."""
 DRAWN = "own_counter", "there", "column", "spent", "phases"
 """Fields of `Tables` for draws of uncertain cells and for phases."""
 NO_VIEWS = np.zeros(2, dtype=np.int64), np.zeros(0, dtype=np.int32)
+UNITS = 2**40
+"""The value of all cells in integer units, which add exactly."""
 STRIP = 2**20
 """Pairs of a cell and an area sorted at a time, of 40 bytes each."""
 
@@ -154,12 +157,25 @@ def make_tables(
     if problem.own is not None:
         tables = tables._replace(type_of=problem.own.of, own_level=problem.own.level)
     if problem.home is not None:
-        again: dict[str, Any] = {name: getattr(problem.settings, name) or 0 for name in ("recharge", "deliver_every")}
-        tables = tables._replace(last_step=problem.home.last, **again)
+        tables = tables._replace(last_step=problem.home.last, **_trips(problem, cells))
     if unknown is not None:  # a search passes all that is near enough to matter: nothing is far
         goal, learning = int(unknown.accessible.sum()), _learning(unknown, problem.entry, cells, compact, narrow)
         tables = tables._replace(nearby=len(cells), goal=goal, last_update=unknown.last_update, **learning)
     return tables
+
+
+def _trips(problem: Problem, cells: NDArray[np.int64]) -> dict[str, Any]:
+    """Fields of `Tables` for robots that go on after a return."""
+    settings, value = problem.settings, problem.world.value
+    found: dict[str, Any] = {name: getattr(settings, name) or 0 for name in ("recharge", "deliver_every")}
+    if (most := settings.deliver_value) is None:
+        return found
+    if value is None:
+        raise PlanError(f"{argument('deliver_value')} on a map without values", fix="give value, or deliver_every")
+    unit = UNITS / max(value.ravel()[cells].sum(), most)
+    # Rounded up, and the limit down: cells whose values add up to the limit in decimals always reach it.
+    units = np.ceil(value.ravel()[cells] * unit).astype(np.int64)
+    return found | {"cell_value": units, "deliver_value": max(int(most * unit * (1 - 1e-9)), 1)}
 
 
 def _are_small(problem: Problem, near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray[np.int32]) -> bool:

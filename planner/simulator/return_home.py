@@ -18,7 +18,7 @@ from .jit import kernel, rare_kernel
 from .paths import adjacent, look_up_nearest, seek, to_do_in, to_do_of, walk_back
 from .range_budget import can_go_on, moves_home, own_moves
 from .robot_types import own_turn
-from .state import FAR, ONE, TO_DO, drop, holds, put
+from .state import FAR, ONE, TO_DO, WORD, drop, holds, lowest_bit, put
 
 
 @rare_kernel
@@ -57,21 +57,23 @@ def turns(t, s, robot, step):
     own = s.robots[robot].until - now
     if can_go_on(t, s, robot, min(own, own_turn(t, robot, t.last_step) - now)):
         # Without a way to base it would never go on.
-        away = t.deliver_every > 0 and moves_home(t, robot, np.int64(s.robots[robot].cell)) > 0
-        return 2 if away and load(s.undelivered[robot], s.undelivered[len(s.robots)]) >= t.deliver_every else 0
+        away = t.deliver_every + t.deliver_value > 0 and moves_home(t, robot, np.int64(s.robots[robot].cell)) > 0
+        return 2 if away and is_laden(t, s.undelivered[robot], s.undelivered[len(s.robots)]) else 0
     return 2 if t.recharge > 0 and own + 1 < t.range[robot] and not can_go_on(t, s, robot, own) else 1
 
 
 @kernel
-def load(undelivered, delivered):
-    """The number of cells of a set that are not in the other."""
-    count = 0
+def is_laden(t, undelivered, delivered):
+    """Whether the cells of a set that are not in the other are as many, or have the value, that robots deliver."""
+    count, value = 0, 0
     for word in range(len(undelivered)):
         left = undelivered[word] & ~delivered[word]
         while left != 0:
-            left &= left - ONE
             count += 1
-    return count
+            if t.deliver_value > 0:
+                value += t.cell_value[word * WORD + lowest_bit(left)]
+            left &= left - ONE
+    return 0 < t.deliver_every <= count or 0 < t.deliver_value <= value
 
 
 @kernel

@@ -146,7 +146,8 @@ class Tables(NamedTuple):
         nearby: cells that a search passes before the long-range search takes over. wide: as in `SafeParts`. patience:
             searches from a cell before its costs to all cells are kept. goal: cells that count. last_step: step by
             which robots that return to base have to be there. recharge: steps of a recharge, 0: none. deliver_every:
-            cells to deliver with which a robot returns and goes on, 0: none. quiet_steps: steps in a row without
+            cells to deliver with which a robot returns and goes on, 0: none. deliver_value: likewise the sum of their
+            `cell_value`, int64 `[A]`, empty unless it is used. quiet_steps: steps in a row without
             progress after which a run ends, unless a phase is announced for later. last_update: the step of the last
             announced phase, 0: none.
         truths: int16 `[M, A]`, level of each cell in each candidate of the true map, NONE for an obstacle; of online
@@ -256,6 +257,7 @@ class Tables(NamedTuple):
     home_bases: NDArray = np.zeros((0, 0), np.bool_)
     home_steps: NDArray = np.zeros((0, 0), np.int32)
     home_cost: NDArray = np.zeros((0, 0), np.int64)
+    cell_value: NDArray = np.zeros(0, np.int64)
     nearby: int = 0
     wide: int = 0
     patience: int = 0
@@ -263,6 +265,7 @@ class Tables(NamedTuple):
     last_step: int = 0
     recharge: int = 0
     deliver_every: int = 0
+    deliver_value: int = 0
     quiet_steps: int = 0
     last_update: int = 0
     follows: bool | None = None

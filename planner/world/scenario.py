@@ -162,8 +162,8 @@ DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 """Keys of a scenario file that are always there."""
 SETTINGS = ("levels", "policy", "risk_cap", "robot_value", "plan_for", "weibull_shape", "deadline", "in_area")
 OF_ROBOTS = (
-    "range", "hazard_multiplier", "return_to", "recharge", "deliver_every", "wrecks", "types", "steps_per_move",
-    "radio",
+    "range", "hazard_multiplier", "return_to", "recharge", "deliver_every", "deliver_value", "wrecks", "types",
+    "steps_per_move", "radio",
 )  # fmt: skip
 """Planner settings as keys of a scenario, and those under its key `robots`."""
 OPTIONAL = (
