@@ -204,7 +204,7 @@ def exact_truth(plan: Plan, world: World, exact: OpenLoopExact, first_only: bool
     stated = None if _is_cut_off(plan) else Truth.known(1.0)
     left, alive = Truth.known(exact.some_left), float(exact.survival.sum())
     # A run that ends early waits first; the wait is known only for one robot among moving threats.
-    ends = world.movers is not None or (plan.state is None and plan.outcome == Outcome.COMPLETE.word)
+    ends = world.moving_threats is not None or (plan.state is None and plan.outcome == Outcome.COMPLETE.word)
     time = exact.mean_time if ends else None
     return ClosedTruth(Truth.known(exact.visited), Truth.known(exact.survived), left, stated, 0, alive, time)
 
