@@ -371,9 +371,7 @@ def _options(rng: np.random.Generator, robots: int, kind: str, free: NDArray[np.
     return {name: value for name, value in choices.items() if value is not None}
 
 
-LEFT_OUT_OF_BOOK = {
-    "transit", "return_to", "recharge", "steps_per_move", "radio", "types", "risk_cap", "robot_value", "priority"
-}  # fmt: skip
+LEFT_OUT_OF_BOOK = {"transit", "steps_per_move", "radio", "types", "risk_cap", "robot_value", "priority"}
 """Options of `_options` that JAX's closed loop leaves to the compiled simulator."""
 
 

@@ -34,6 +34,8 @@ NEVER = 2**30
 """Later than every step, and more than every cost."""
 BUCKET = 4
 """Capacity of a bucket of the hash table: as many tags, then their entries."""
+ROBOTS = (8, 16, 32, 64, 128, 256, 512, 1024)
+"""Team sizes to which teams, and their sets of bases, are padded."""
 WORDS = (5, 10, 13, 16, 20, 26, 32, 40, 52, 64, 80, 96, 128, 160, 200, 256, 320)
 """Words of bits are padded to one of these, so that programs are compiled for few sizes."""
 ENTRIES, ROOM = 2**12, ((WORDS[7], 2**17), (WORDS[1], 2**16), (0, 2**15))
@@ -57,6 +59,11 @@ def mixed(words, salt):  # type: ignore[no-untyped-def]
         two = (word ^ word >> 13).sum(axis=-1, dtype=np.uint32) ^ salt * M1
         one, two = (one ^ one >> 16) * M1, (two ^ two >> 15) * M3
     return one ^ one >> 15, (two ^ two >> 16) | np.uint32(1)
+
+
+def padded_team(robots: int) -> int:
+    """Capacity for robots of the lanes of a team."""
+    return next(room for room in ROBOTS if room >= robots)
 
 
 @compiled
@@ -174,7 +181,8 @@ class HostBook:
         self.sums, self.at = Grown(room, (), np.int64), Grown(room, (), np.int32)
         self.bits = Grown(2**10, (self.words,), np.uint32)
         self.cost, self.target, self.steps = (Grown(2**10, (wide,), np.int32) for _ in range(3))
-        self.need, self.brought = (Grown(room, (len(t.home_steps),), np.int32) for _ in range(2))
+        bases = padded_team(len(t.home_steps)) if len(t.home_steps) > 1 else len(t.home_steps)
+        self.need, self.brought = (Grown(room, (bases,), np.int32) for _ in range(2))
         self.longest = 1
         self.buckets = np.zeros((4 * ENTRIES, 2 * BUCKET), dtype=np.uint32)
         self.most_visits = 1
@@ -276,7 +284,7 @@ class HostBook:
         base = self.prefix.add(np.bitwise_or.accumulate(rows))
         self.cell_at.add(np.append(here, entered))
         self.longest = max(self.longest, len(cells))
-        need, brought = (np.zeros((len(rows), len(t.home_steps)), dtype=np.int32) for _ in range(2))
+        need, brought = (np.zeros((len(rows), self.need.rows.shape[1]), dtype=np.int32) for _ in range(2))
         for bases, home in enumerate(t.home_steps):
             _need(here, cells, np.arange(len(cells)) == len(cells) - 1 if ends is None else ends, home, need[:, bases])
             brought[move + 1, bases] = (move + 1) * t.home_bases[bases, entered[move]]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 
 from mrac_jax.closed_loop import lanes as ln
 from mrac_jax.closed_loop.book import HALVE, LENGTH, NEVER, PARTS, PIECE
-from mrac_jax.closed_loop.lanes import Book, Lanes, at, entered, hold, look_up, one_cell, pick, walk
+from mrac_jax.closed_loop.lanes import Book, Lanes, at, hold, look_up, one_cell, pick, walk
 from planner.simulator.codes import Outcome
 
 # Robots that return to base (SPEC section 19): the turning point, reachable pieces, and the end of a mission.
@@ -50,7 +51,7 @@ def depart(
     def is_late(move: jax.Array) -> jax.Array:
         return of_bases(book.need, book, base + move, robot) > within
 
-    first = ln.first_that(is_late, jnp.ones_like(length), length + 1, book.homes.turnings)
+    first = ln.first_that(is_late, jnp.ones_like(length), length + 1, book.turnings)
     owns = (doing == ln.TRAVEL) | (doing == ln.COVER)
     turns = owns & (first <= length) & (first <= moves)
     moves = jnp.where(turns, first - 1, moves)
@@ -73,14 +74,7 @@ def all_return(book: Book, lanes: Lanes, runs: jax.Array, key: jax.Array) -> Lan
     """
     robots, stride = lanes.robots, ln.stride_of(book, lanes)
     step, K = jnp.minimum(key // stride, book.max_steps + 1), lanes.key.shape[1]
-    doing = robots[:, :, ln.DOING]
-
-    def offset(time: jax.Array) -> jax.Array:
-        return jnp.clip(time[:, None] - robots[:, :, ln.SINCE], 0, robots[:, :, ln.LAST])
-
-    def covered(time: jax.Array) -> jax.Array:
-        return (lanes.visited | entered(book, robots[:, :, ln.ROW] + offset(time)) == book.every).all(axis=1)
-
+    doing, covered = robots[:, :, ln.DOING], partial(ln.is_covered, book, lanes)
     stuck = lanes.last + book.quiet
     asleep = (doing > ln.CHARGE).all(axis=1) & (step + (key % stride >= K) > stuck) & (stuck <= book.max_steps)
     # The cells visited by the last event were not complete before it.
@@ -97,7 +91,7 @@ def all_return(book: Book, lanes: Lanes, runs: jax.Array, key: jax.Array) -> Lan
         after = {
             ln.DOING: jnp.where(charging, ln.OUT, doing),
             ln.FATE: jnp.where(cut, ln.TURNS, robots[:, :, ln.FATE]),
-            ln.LAST: jnp.where(cut, offset(time), robots[:, :, ln.LAST]),
+            ln.LAST: jnp.where(cut, ln.moves_by(lanes, time[:, None]), robots[:, :, ln.LAST]),
         }
         return replace(
             lanes,

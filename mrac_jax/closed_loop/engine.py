@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from mrac_jax.arrays import on_host, robot_words, threshold_pairs, uint64_pairs
 from mrac_jax.closed_loop import lanes as ln
-from mrac_jax.closed_loop.book import BASE, COUNT, FIRST, WORD_BITS, HostBook
+from mrac_jax.closed_loop.book import BASE, COUNT, FIRST, WORD_BITS, HostBook, padded_team
 from mrac_jax.closed_loop.counting import Counting, follow_nominal, nothing_begun
 from mrac_jax.closed_loop.events import begin, ended, next_event
-from mrac_jax.closed_loop.lanes import Book, Ended, Homes, Lanes, Log, at, write
-from mrac_jax.closed_loop.start import ENDLESS, check_supported, first_lane, padded_team, stride_of
+from mrac_jax.closed_loop.lanes import Book, Homes, Lanes, Log, at, write
+from mrac_jax.closed_loop.start import ENDLESS, check_supported, first_lane, stride_of
 from mrac_jax.process import fixed_flags
 from mrac_jax.runtime import keep_jax_programs
 from planner.arguments import BLOCK
@@ -64,14 +64,14 @@ class Batch:
 
     Attributes:
         left: uint32 `[R, K, 2]`, thresholds. count: int32 `[1]`, their number; next: number of those that began.
-        begun: int32 `[R]`, the snapshot at which each began. ended: results `[R]`. log: walks.
+        begun: int32 `[R]`, the snapshot at which each began. numbers: int32 `[R, NUMBERS]`, results. log: walks.
     """
 
     left: jax.Array
     count: jax.Array
     next: jax.Array
     begun: jax.Array
-    ended: Ended
+    numbers: jax.Array
     log: Log
 
 
@@ -117,7 +117,6 @@ def hand_over(book: Book, lanes: Lanes, batch: Batch, width: int) -> tuple[Lanes
     is_done = chosen & (few.mode == ln.DONE)
     results, rows, there = ended(book, few)
     place = jnp.where(is_done, few.number, room)
-    kept = jax.tree.map(lambda old, new: old.at[place].set(new, mode="drop"), batch.ended, results)
     log = write(replace(batch.log, used=batch.log.used[0]), (there & is_done[:, None]).reshape(-1), rows.reshape(-1, 4))
     number = batch.next[0] + jnp.cumsum(chosen, dtype=jnp.int32) - 1
     begins = chosen & (number < batch.count[0])
@@ -134,7 +133,7 @@ def hand_over(book: Book, lanes: Lanes, batch: Batch, width: int) -> tuple[Lanes
         batch,
         next=batch.next + begins.sum(dtype=jnp.int32),
         begun=batch.begun.at[jnp.where(begins, number, room)].set(which, mode="drop"),
-        ended=kept,
+        numbers=batch.numbers.at[place].set(results.numbers, mode="drop"),
         log=replace(log, used=log.used[None]),
     )
 
@@ -229,46 +228,46 @@ class JaxClosedLoop(Engine):
 
     def _start(self) -> None:
         """Compute the snapshots at which lanes begin; the capacity grows if necessary."""
-        while True:
-            try:
-                return self._find_snapshots()
-            except _NoRoom:
-                self._room, self._parts = 2 * self._room, 2 * self._parts
+        try:
+            self._find_snapshots()
+        except _NoRoom:
+            self._grow()
+
+    def _grow(self) -> None:
+        """Start again with twice the capacity."""
+        self._room, self._parts = 2 * self._room, 2 * self._parts
+        self._start()
 
     def _find_snapshots(self) -> None:
         """Roll out the run without losses: one lane halts after each event."""
         loop, host, D, B = self.loop, self.host, self._devices, self.lanes
         K, lane = padded_team(loop.robots), first_lane(host, self._room)
-        owned = np.full(len(host.bits.rows), -1, np.int32)
-        if len(loop.tables.given):
-            for robot in range(loop.robots):
-                mine = np.flatnonzero(loop.tables.owner == robot)
-                owned[mine[:-1]] = mine[1:]
-        self._homes: Homes | None = None
+        next_of, homes = np.full(len(host.bits.rows), -1, np.int32), None
+        for robot in range(loop.robots):
+            mine = np.flatnonzero(loop.tables.owner == robot)  # several on an external path
+            next_of[mine[:-1]] = mine[1:]
         self._device_book = DeviceBook(host, self._whole)
         self._fixed: dict[str, Any] = {
             "mask": np.int32((1 << host.shift) - 1),
             "every": host.row_of(np.arange(host.cells)),
             "max_steps": np.int32(loop.max_steps),
             "quiet": np.int32(loop.tables.quiet_steps),
-            "next_of": owned,
+            "next_of": next_of,
             "first": jax.tree.map(lambda of: np.broadcast_to(of, (B, *of.shape)).copy(), lane),
             "met": np.zeros((B, K, 2), np.uint32),
         }
         if loop.comes_home:
             t, pad = loop.tables, (0, K - loop.robots)
-            wide = host.words * WORD_BITS
-            self._homes = on_host(
+            more = host.need.rows.shape[1] - len(t.home_steps), host.words * WORD_BITS - host.cells
+            homes = on_host(
                 Homes,
                 of=np.pad(t.home_of, pad).astype(np.int32),
-                steps=np.pad(t.home_steps, ((0, 0), (0, wide - host.cells)), constant_values=-1).astype(np.int32),
+                steps=np.pad(t.home_steps, [(0, size) for size in more], constant_values=-1).astype(np.int32),
                 range=np.pad(np.minimum(t.range, ln.LIMITLESS), pad).astype(np.int32),
                 last=np.int32(t.last_step),
                 recharge=np.int32(t.recharge),
-                turnings=0,
             )
-            self._homes = jax.device_put(self._homes, self._whole)
-        self._fixed = jax.device_put(self._fixed, self._whole)
+        self._fixed = jax.device_put(self._fixed | {"homes": homes}, self._whole)
         count = np.arange(D * B, dtype=np.int32) % B
         given = jax.tree.map(lambda of: np.broadcast_to(of, (D * B, *of.shape)).copy(), lane)
         self._lanes = jax.device_put(replace(given, fuel=count, number=count), self._shared)
@@ -304,17 +303,14 @@ class JaxClosedLoop(Engine):
 
     def book(self) -> Book:
         """The present book on the devices."""
-        tables = self._device_book.tables()
         halvings = max(6, (self.host.most_visits.bit_length() + 2) // 2 * 2)
-        homes = self._homes
-        if homes is not None:
-            homes = replace(homes, turnings=max(8, (self.host.longest.bit_length() + 4) // 4 * 4))
-        fields: dict[str, Any] = tables | self._fixed | {"homes": homes}
-        return Book(**fields, halvings=halvings, parts=self._parts)
+        turnings = max(8, (self.host.longest.bit_length() + 4) // 4 * 4) if self.loop.comes_home else 0
+        fields: dict[str, Any] = self._device_book.tables() | self._fixed
+        return Book(**fields, halvings=halvings, turnings=turnings, parts=self._parts)
 
     def _batch(self, ids: NDArray[np.int64]) -> tuple[Batch, NDArray[np.int64]]:
         """A batch of these rollouts, distributed over the devices, and the index of each."""
-        D, K, B, W = self._devices, padded_team(self.loop.robots), self.lanes, self.host.words
+        D, K, B = self._devices, padded_team(self.loop.robots), self.lanes
         room, each = BATCH * B, -(-len(ids) // D)
         number = np.arange(len(ids))
         places = number // max(each, 1) * room + number % max(each, 1)
@@ -335,12 +331,7 @@ class JaxClosedLoop(Engine):
             count=np.clip(len(ids) - each * np.arange(D), 0, each).astype(np.int32),
             next=np.zeros(D, np.int32),
             begun=zeros(D * room, jnp.int32),
-            ended=on_host(
-                Ended,
-                numbers=zeros((D * room, ln.NUMBERS), jnp.int32),
-                visited=zeros((D * room, W), jnp.uint32),
-                survived=zeros((D * room, W), jnp.uint32),
-            ),
+            numbers=zeros((D * room, ln.NUMBERS), jnp.int32),
             log=on_host(Log, rows=zeros((D * rows, 4), jnp.uint32), used=np.zeros(D, np.int32)),
         )
         return put(made), places
@@ -362,16 +353,12 @@ class JaxClosedLoop(Engine):
             if not goes_on and (np.asarray(batch.next) >= np.asarray(batch.count)).all():
                 return batch, [np.concatenate(log) for log in logs]
             if missing.any():
-                self._find(np.asarray(self._lanes.asked)[missing])
+                for *row, salt in np.unique(np.asarray(self._lanes.asked)[missing], axis=0).tolist():
+                    self.host.look_up(salt, np.array(row, np.uint32))
                 mode = jax.device_put(np.where(missing, ln.RUN, mode), self._shared)
                 self._lanes = replace(self._lanes, mode=mode)
             none = jax.device_put(np.zeros(self._devices, np.int32), self._shared)
             batch = replace(batch, log=replace(batch.log, used=none))
-
-    def _find(self, asked: NDArray[np.uint32]) -> None:
-        """Add the entries that lanes miss to the book."""
-        for *row, salt in np.unique(asked, axis=0).tolist():
-            self.host.look_up(salt, np.array(row, np.uint32))
 
     def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
         """The tally and the single results of those rollouts: one pass gives both."""
@@ -391,16 +378,14 @@ class JaxClosedLoop(Engine):
     @fixed_flags()
     def _batch_of(self, ids: NDArray[np.int64]) -> tuple[NDArray, NDArray, list[NDArray[np.uint32]], NDArray]:
         """Of a batch: results `[n, NUMBERS]`, snapshots `[n]`, the log of each device, and the device of each."""
-        while True:
-            try:
-                given, places = self._batch(ids)
-                batch, logs = self._roll_out(given)
-                break
-            except _NoRoom:
-                self._room, self._parts = 2 * self._room, 2 * self._parts
-                self._start()
+        given, places = self._batch(ids)
+        try:
+            batch, logs = self._roll_out(given)
+        except _NoRoom:
+            self._grow()
+            return self._batch_of(ids)
         return (
-            np.asarray(batch.ended.numbers)[places],
+            np.asarray(batch.numbers)[places],
             np.asarray(batch.begun)[places],
             logs,
             places // (BATCH * self.lanes),
@@ -426,9 +411,9 @@ class JaxClosedLoop(Engine):
         lost = set(zip(robot[stopped].tolist(), (since + moves)[stopped].tolist(), strict=True))
         run = SingleRun(self.loop, self.seed, rollout, hit=lambda robot, step, _: (robot, step) in lost)
         trace = run.play().trace
-        base = self.host.entries.rows[rows[:, 1], BASE]
-        ends = self.loop.cells[self.host.cell_at.rows[base + moves]]
-        if len(trace.cells) != numbers[ln.TIME] + 1 or (trace.cells[since + moves, robot] != ends).any():
+        cell = self.host.cell_at.rows[self.host.entries.rows[rows[:, 1], BASE] + moves]
+        differ = (trace.cells[since + moves, robot] != self.loop.cells[cell]) & (cell >= 0)  # below 0: it waits
+        if len(trace.cells) != numbers[ln.TIME] + 1 or differ.any():
             raise AssertionError(f"rollout {rollout}: the lane's walks are not those of the simulator")
         return trace
 

@@ -7,6 +7,7 @@ robot is looked up. A lane waits if a set is not in the book. Letters as in `mra
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -44,9 +45,7 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     mine = robots == who[:, None]
     # Robots that act later in this step have not moved in it.
     behind = (robots > who[:, None]) & ~(late | due)[:, None]
-    last = lanes.robots[:, :, ln.LAST]
-    offset = jnp.clip(step[:, None] - lanes.robots[:, :, ln.SINCE] - behind, 0, last)
-    row = lanes.robots[:, :, ln.ROW]
+    offset, row = ln.moves_by(lanes, step[:, None] - behind), lanes.robots[:, :, ln.ROW]
     now = hold(lanes.visited | entered(book, row + offset))
     me, left = hold((pick(lanes.robots, who), pick(lanes.left, who)))
     doing, fate, piece = me[:, ln.DOING], me[:, ln.FATE], jnp.maximum(me[:, ln.AREA], 0)
@@ -245,28 +244,19 @@ def begin(book: Book, left: jax.Array, number: jax.Array) -> tuple[Lanes, jax.Ar
 def ended(book: Book, lanes: Lanes) -> tuple[Ended, jax.Array, jax.Array]:
     """Results of lanes at their end; and rows of the log, uint32 `[S, K, 4]`, and which of them there are."""
     robots, row = lanes.robots, lanes.robots[:, :, ln.ROW]
-
-    def by(time: jax.Array) -> jax.Array:
-        return jnp.clip(time[:, None] - robots[:, :, ln.SINCE], 0, robots[:, :, ln.LAST])
-
-    def covered(time: jax.Array) -> jax.Array:
-        return lanes.visited | entered(book, row + by(time))
-
     complete = (lanes.now == book.every).all(axis=1)
     time = lanes.last
     if book.homes is None:  # else a robot had to return after that
 
-        def is_complete(time: jax.Array) -> jax.Array:
-            return (covered(time) == book.every).all(axis=1)
-
         def rewind() -> jax.Array:
-            return ln.first_that(is_complete, jnp.zeros_like(time), time, ln.HALVINGS)
+            return ln.first_that(partial(ln.is_covered, book, lanes), jnp.zeros_like(time), time, ln.HALVINGS)
 
         time = jnp.where(complete, jax.lax.cond(complete.any(), rewind, lambda: time), time)
-    moves = by(time)
+    moves = ln.moves_by(lanes, time[:, None])
     stopped = (robots[:, :, ln.FATE] == ln.DIES) & (robots[:, :, ln.SINCE] + robots[:, :, ln.LAST] <= time[:, None])
     lost = (robots[:, :, ln.DOING] == ln.DEAD) | stopped
-    visited, survived = covered(time), lanes.survived | entered(book, row + moves - stopped)
+    visited = lanes.visited | entered(book, row + moves)
+    survived = lanes.survived | entered(book, row + moves - stopped)
 
     def size(cells: jax.Array) -> jax.Array:
         return jax.lax.population_count(cells).sum(axis=1, dtype=jnp.uint32).astype(jnp.int32)

@@ -87,7 +87,6 @@ class Homes:
         of: `[K]`, the bases of each robot. steps: `[S, A']`, moves of the path there, below 0 without a path.
         range: `[K]`, moves that a robot can make. last: step by which they must be there. recharge: steps that
             restore the range of a robot, 0: never.
-        turnings: static: bits of the moves of the longest walk.
     """
 
     of: jax.Array
@@ -95,7 +94,6 @@ class Homes:
     range: jax.Array
     last: jax.Array
     recharge: jax.Array
-    turnings: int = field(metadata=STATIC)
 
 
 @jax.tree_util.register_dataclass
@@ -112,7 +110,8 @@ class Book:
             robots have met by then, without the walk that they are on. met: uint32 `[M, K, 2]`, with it: a robot whose
             threshold that reaches is lost before.
         homes: None if robots do not return.
-        halvings, parts: static: bits of the largest number of visits of a walk; maximum parts of a split.
+        halvings, turnings, parts: static: bits of the largest number of visits and of moves of a walk; maximum parts of
+            a split.
         free: bool `[H, W]`, cells that robots can reach; cells: int32 `[A]`, the index of each in the map. plain: bool,
             robots are alike, of Weibull shape 1. None in the engine, which compiles one program for many maps.
     """
@@ -140,6 +139,7 @@ class Book:
     first: Lanes
     met: jax.Array
     halvings: int = field(metadata=STATIC)
+    turnings: int = field(metadata=STATIC)
     parts: int = field(metadata=STATIC)
     free: Any = None
     cells: Any = None
@@ -192,6 +192,17 @@ def entered(book: Book, row: jax.Array) -> jax.Array:
     for robot in range(1, row.shape[1]):
         total = total | at(book.prefix, row[:, robot])
     return total
+
+
+def moves_by(lanes: Lanes, step: jax.Array) -> jax.Array:
+    """Moves of their walks that robots have made by the end of these steps, `[B, K]` of `[B, 1 or K]`."""
+    return jnp.clip(step - lanes.robots[:, :, SINCE], 0, lanes.robots[:, :, LAST])
+
+
+def is_covered(book: Book, lanes: Lanes, step: jax.Array) -> jax.Array:
+    """Whether all cells are visited by the end of these steps, bool `[B]` of `[B]`."""
+    visited = lanes.visited | entered(book, lanes.robots[:, :, ROW] + moves_by(lanes, step[:, None]))
+    return (visited == book.every).all(axis=1)
 
 
 def first_that(fits: Callable[[jax.Array], jax.Array], low: jax.Array, high: jax.Array, halvings: int) -> jax.Array:

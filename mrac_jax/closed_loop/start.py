@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from mrac_jax.arrays import on_host, uint64_pairs
 from mrac_jax.closed_loop import lanes as ln
-from mrac_jax.closed_loop.book import BASE, END, LENGTH, NEVER, NOWHERE, HostBook
+from mrac_jax.closed_loop.book import BASE, END, LENGTH, NEVER, NOWHERE, HostBook, padded_team
 from mrac_jax.closed_loop.lanes import Lanes
 from planner.arguments import argument
 from planner.errors import UsageError, WorldError
@@ -17,8 +17,6 @@ from planner.simulator.state import first_room
 
 ENDLESS = 2**62
 """A threshold that no hazard reaches."""
-ROBOTS = (8, 16, 32, 64, 128, 256, 512, 1024)
-"""Team sizes to which teams are padded."""
 AREAS = 64
 """The capacity for areas is a multiple of this."""
 
@@ -52,11 +50,6 @@ def check_supported(loop: ClosedLoop) -> None:
     for kind, asked in ((WorldError, of_the_map), (UsageError, options)):
         for named in (name for name, is_asked in asked.items() if is_asked):
             raise kind(f"{argument('engine', 'jax')} with {named}, in the closed loop", fix=fix)
-
-
-def padded_team(robots: int) -> int:
-    """Capacity for robots of the lanes of a team."""
-    return next(room for room in ROBOTS if room >= robots)
 
 
 def stride_of(loop: ClosedLoop) -> int:
