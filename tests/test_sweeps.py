@@ -25,7 +25,7 @@ from analysis.cli.app import run
 from analysis.evaluation.evaluate import Evaluation
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import Estimate
-from analysis.statistics.variance_reduction import BESIDE, expected_pieces, pieces
+from analysis.statistics.variance_reduction import TERMS, expected_pieces, pieces
 from analysis.sweeps import report
 from analysis.sweeps import results as pooling
 from analysis.sweeps.cases import Generated, Places, Written
@@ -642,7 +642,7 @@ def apart(store: Store) -> Store:
 
 
 def part(setting: int, seed: int, mean: float, error: float) -> pooling.Part:
-    means, errors = np.zeros((len(pooling.KEPT), BESIDE)), np.zeros((len(pooling.KEPT), BESIDE, BESIDE))
+    means, errors = np.zeros((len(pooling.KEPT), TERMS)), np.zeros((len(pooling.KEPT), TERMS, TERMS))
     means[:, 0], errors[:, 0, 0] = mean, error**2
     return pooling.Part("", (setting,), seed, 100, 0, means, errors)
 

@@ -188,7 +188,7 @@ def _estimate(found: Controlled, most: int, unit: float) -> Estimate:
 # share of 1 / all rollouts. Where the maps have independent random numbers, the controlled means are a sample of one
 # from each map, and their interval is that of any mean over maps.
 
-BESIDE = 1 + PIECES
+TERMS = 1 + PIECES
 FIGURES = COLUMNS[1:]
 TRIANGLE = np.triu_indices(PIECES)
 
@@ -216,7 +216,7 @@ def with_controls(
     for a
     single rollout, and if `controls` covers other rollouts.
     """
-    means, errors = np.zeros((len(figures), BESIDE)), np.zeros((len(figures), BESIDE, BESIDE))
+    means, errors = np.zeros((len(figures), TERMS)), np.zeros((len(figures), TERMS, TERMS))
     means[:, 0] = [total / rollouts for total, _ in figures]
     if rollouts == 1:
         return means, errors

@@ -18,15 +18,15 @@ from scipy.special import stdtrit
 
 from analysis.report.result import Result
 from analysis.statistics.estimates import MISSED, Z95, Estimate
+from analysis.statistics.variance_reduction import FIGURES as CONTROLLED
 from analysis.statistics.variance_reduction import (
-    BESIDE,
     NEGLIGIBLE,
+    TERMS,
     complete_chance,
     tally_mean,
     weights_of,
     with_controls,
 )
-from analysis.statistics.variance_reduction import FIGURES as CONTROLLED
 from analysis.sweeps.cases import RULES, Label, format_label
 from analysis.sweeps.engine import EARLIER, MAP_LABELS, runs_by_rules
 from analysis.sweeps.spec import WORLD, is_path
@@ -48,7 +48,7 @@ from planner.tally import Tally, counts_by_word
 class Moments:
     """Map means of several figures with control variates, added map by map in constant memory.
 
-    Axes: `F` figures, `L` BESIDE: the figure, then its control variates.
+    Axes: `F` figures, `L` TERMS: the figure, then its control variates.
 
     Attributes:
         maps: number. mean: of the map means, float64 `[F, L]`.
@@ -58,10 +58,10 @@ class Moments:
         shared: squared standard error of the mean from random numbers that maps share, which `scatter` lacks, `[F]`.
     """
 
-    def __init__(self, figures: int, beside: int = BESIDE) -> None:
-        """`beside`: L."""
+    def __init__(self, figures: int, columns: int = TERMS) -> None:
+        """`columns`: L."""
         self.maps = self.freedom = 0
-        self.mean, self.scatter, self.lean = (np.zeros((figures, *(beside,) * power)) for power in (1, 2, 3))
+        self.mean, self.scatter, self.lean = (np.zeros((figures, *(columns,) * power)) for power in (1, 2, 3))
         self.within, self.shared = np.zeros_like(self.scatter), np.zeros(figures)
 
     def add(self, means: NDArray[np.float64], errors: NDArray[np.float64] | float, freedom: int = 0) -> None:
@@ -150,7 +150,7 @@ class Row:
     rollouts: int = 0
     outcomes: Counter[str] = field(default_factory=Counter)
     moments: Moments = field(default_factory=lambda: Moments(len(KEPT)))
-    apart: Moments = field(default_factory=lambda: Moments(len(DIFFERENCES), 2 * BESIDE - 1))
+    apart: Moments = field(default_factory=lambda: Moments(len(DIFFERENCES), 2 * TERMS - 1))
     first: Moments | None = None
     single: dict[str, Estimate] = field(default_factory=dict)
     json_keys = """
@@ -233,7 +233,7 @@ def figures_of(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     means, errors = (np.zeros((len(KEPT), *one.shape[1:])) for one in found)
     for name in FIGURES:
         place, unit = CONTROLLED.index(name.removesuffix("_of_free")), unit_of(run, name)
-        own = np.array([unit, *(1.0,) * (BESIDE - 1)])
+        own = np.array([unit, *(1.0,) * (TERMS - 1)])
         means[KEPT[name]], errors[KEPT[name]] = found[0][place] * own, found[1][place] * np.outer(own, own)
     known = [exact_of(run, name) for name in EXACT]
     known.append(nan if ideal is None else ideal / facts["cells"]["accessible"])

@@ -374,7 +374,7 @@ class Runner:
         same order.
         """
         self.work.remembered[:], self.work.slots[:] = 1, 0
-        first, how = self._loop.first_state(self.room), self.how._replace(aside=len(stack.marks) - 1)
+        first, how = self._loop.first_state(self.room), self.how._replace(deferred=len(stack.marks) - 1)
         return self._call(first, groups_at(ONE, len(ids)), stack, NO_LOG, how, ids, singles)
 
     def take(self, waiting: State, tasks: Tasks, ids: NDArray[np.uint32], singles: Singles, log: Log = NO_LOG) -> bool:

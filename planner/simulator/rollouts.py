@@ -185,16 +185,16 @@ def go_on_with(t, s, c, stack, level, ids, singles, how, top, last, found):
             count_group(t, s, c, ids, singles, found)
         # Its ids are counted: the level is empty.
         s.marks.last = s.marks.first
-        return (top - 1, top - 1) if how.aside == 0 else (NONE, top)
+        return (top - 1, top - 1) if how.deferred == 0 else (NONE, top)
     # Survivors keep the level and wait; the others go on first, so levels never outnumber the robots.
     s.marks.verdict, top = PASSED, top + 1
     lost = hand(level_of(stack, top))
     copy_state(t, s, lost)
     stack.marks[top] = stack.marks[level]
     lost.marks.first, lost.marks.last, lost.marks.verdict = s.marks.last, last, HIT
-    if how.aside == 0:
+    if how.deferred == 0:
         return top, top
-    return 0 if top < how.aside and s.marks.last > s.marks.first else NONE, top
+    return 0 if top < how.deferred and s.marks.last > s.marks.first else NONE, top
 
 
 @program
@@ -211,8 +211,8 @@ def run_group_tasks(t, p, c, waiting, tasks, taken, stack, w, log, how, ids, sin
         singles: results of single rollouts.
 
     Returns:
-        0, or with `how.aside` the number of groups deferred: those that lose their first robot, in levels 1, 2, ... of
-        the stack; level 0 keeps the rest. NONE if a rollout needed more areas than the state has room for; then the
+        0, or with `how.deferred` the number of deferred groups: those that lose their first robot, in levels 1, 2, ...
+        of the stack; level 0 keeps the rest. NONE if a rollout needed more areas than the state has room for; then the
         counts are void.
     """
     tables, counts, work, logged, options = hand(t), hand(c), hand(w), hand(log), hand(how)

@@ -295,7 +295,7 @@ class How(NamedTuple):
         key0, key1: halves of the key of failure thresholds. own0, own1: of uncertain cells. move0, move1: of moves of
             threats. meet0, meet1: of encounters. read0, read1: of detector readings.
         max_steps: T_max. first_only: only the first visit of a cell is checked. stay_inside: legs stay in their area.
-        aside: 0, or the largest number of groups that the call defers (`planner.simulator.rollouts.run_group_tasks`).
+        deferred: 0, or the most groups that the call defers (`planner.simulator.rollouts.run_group_tasks`).
         cut: 0, or the mass below which a branch of a tree is left (`planner.rollouts.exact_tree`). most: its largest
             number of histories.
         pause, in_area: None in compiled programs. Of a rollout that runs as Python (`planner.rollouts.single_run`):
@@ -309,7 +309,7 @@ class How(NamedTuple):
     max_steps: int
     first_only: bool
     stay_inside: bool
-    aside: int
+    deferred: int
     move0: np.uint32
     move1: np.uint32
     meet0: np.uint32

@@ -173,7 +173,7 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
     if not safe and (fresh or not how.first_only) and not (t.spends and holds(s.spent, cell)):
         lost_from = first_lost(t, s, c, w, how, ids, robot, cell, place)
         # All rollouts lose the robot: still one run, so no state is copied.
-        if lost_from == marks.first and how.aside == 0:
+        if lost_from == marks.first and how.deferred == 0:
             verdict = HIT
         elif lost_from < marks.last:
             verdict = GROUP_SPLITS if how.cut == 0 else prune(t, s, c, how, cell, lost_from)

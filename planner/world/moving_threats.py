@@ -24,7 +24,7 @@ from planner.world.keys import CHANCE, PLACE, Key, first_of
 ANYWHERE = -1
 """Start of a moving threat whose first cell is drawn."""
 MOST_MOVING = 1024
-BESIDE = [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
+NEIGHBOURS = [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class MovingThreats:
     def weight(self) -> NDArray[np.int64]:
         """int64 `[H, W]`: long-run frequency of a walker in each cell, unscaled: its free neighbours, at least 1."""
         free = ~np.isnan(self.own)
-        around = ndimage.correlate(free.astype(np.int64), BESIDE, mode="constant")
+        around = ndimage.correlate(free.astype(np.int64), NEIGHBOURS, mode="constant")
         # The stationary distribution of a random walk is proportional to the number of neighbours.
         return np.where(free, np.maximum(around, 1), 0)
 
