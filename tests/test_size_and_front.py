@@ -700,7 +700,9 @@ def test_the_answer_is_printed_before_anything_else_is_worked_out(
 
     def watch(owner: Any, name: str) -> None:
         work = getattr(owner, name)
-        monkeypatch.setattr(owner, name, lambda *given: shown.append(capsys.readouterr().out) or work(*given))
+        monkeypatch.setattr(
+            owner, name, lambda *given, **named: shown.append(capsys.readouterr().out) or work(*given, **named)
+        )
 
     watch(ThreatScale, "measure")
     watch(Advice, "measure")

@@ -270,7 +270,7 @@ def test_a_plan_of_an_earlier_release_keeps_its_reading(tmp_path: Path) -> None:
     world, file = scenario(tmp_path, BOTH), tmp_path / "plan.json"
     made = make_plan(as_before(world), [[0, 0], [2, 1]])
     file.write_text(json.dumps(made.to_json() | {"version": 1}))
-    with patch("planner.make_plan.read_plan_json", wraps=read_plan_json) as read:
+    with patch("planner.plan.plan_file.read_plan_json", wraps=read_plan_json) as read:
         of, plan = read_plan_on(file, world)
     assert read.call_count == 1
     assert of.sha256 == as_before(world).sha256 == plan.sha256 != world.sha256
@@ -285,7 +285,7 @@ def test_a_plan_of_an_earlier_release_keeps_its_reading(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="plan for another map"):
         read_plan_on(file, world)
     file.write_text(json.dumps(make_plan(world, [[0, 0], [2, 1]]).to_json()))
-    with patch("planner.make_plan.read_plan_json", wraps=read_plan_json) as read:
+    with patch("planner.plan.plan_file.read_plan_json", wraps=read_plan_json) as read:
         assert read_plan_on(file, world)[0] is world
     assert read.call_count == 1
 

@@ -117,7 +117,7 @@ FORMULAS = {
     "any_strategy": _ours("policy-independent bound", "certified", "upper bound on coverage, every strategy", UPPER),
     "optimum": _ours("optimum", "of every strategy", "coverage of the best strategy", UPPER),
     **{
-        f"mended_{form}": _ours(
+        f"corrected_{form}": _ours(
             "Theorem 3 corrected", reading, "lower bound on coverage, the team, corrected", LOWER, loops=OPEN
         )
         for form, reading in (("count", "counts"), ("largest", "chances"), ("spread", "spread"))
@@ -457,11 +457,11 @@ def own_bounds(plan: Plan, world: World, bounds: Bounds, limit: AnyStrategy) -> 
     `limit`: the bounds for every strategy. Bounds that were not computed, and an optimum that is too expensive, are
     omitted.
     """
-    mended, calm = corrected_theorem3(plan, world), until_first_loss(plan, world)
+    corrected, calm = corrected_theorem3(plan, world), until_first_loss(plan, world)
     values: OwnBounds = {}
     for meaning in MEANINGS:
         for form in ("count", "largest", "spread"):
-            values[f"mended_{form}", meaning] = getattr(getattr(mended, meaning), form)
+            values[f"corrected_{form}", meaning] = getattr(getattr(corrected, meaning), form)
         values["until_first_loss", meaning] = getattr(calm, meaning)
         values["eq4_sum", meaning] = sum(getattr(gain, meaning) for gain in bounds.eq4)
     values["ideal_connected", "visited"] = limit.connected
