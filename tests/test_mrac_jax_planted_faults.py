@@ -64,7 +64,7 @@ BOOK, COUNTING, ENGINE, EVENTS, DECISIONS = (
 INTERPRETED = {
     "classical tie order": Fault(AREAS, "or cost < best_cost):", "or cost <= best_cost):"),
     "classical survivors find the state that the others left": Fault(
-        ROLL, "lost = hand(level_of(stack, top))", "lost = hand(level_of(stack, top))._replace(movers=s.moving)"
+        ROLL, "lost = hand(level_of(stack, top))", "lost = hand(level_of(stack, top))._replace(moving=s.moving)"
     ),
     "classical set parted, and the order of the hit ones lost": Fault(
         "planner/simulator/failure_sampling.py", "ids[kept + index] = words[index]", "ids[kept + index] = words[0]"
@@ -76,7 +76,7 @@ INTERPRETED = {
         "    stale = to.open[0] & np.uint64(0xFF)\n"
         "    copy_row(of.open, to.open, (areas + WORD - 1) // WORD)\n    to.open[0] |= stale\n",
     ),
-    "jax snapshot after the loss": Fault(ENGINE, 'moves, "right")', 'moves, "left")'),
+    "jax snapshot after the loss": Fault(ENGINE, "= ENDLESS - left[: last + 1] + ", "= "),
     "jax component lost": Fault(BOOK, "if bisected else parts:", "if bisected else parts[:2]:"),
 }
 QUICK = "classical bits of another branch", "jax snapshot after the loss"
