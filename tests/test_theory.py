@@ -381,12 +381,6 @@ def test_the_oracles_see_no_engine() -> None:
 # The bound for every strategy: above the optimum, above what is sampled, and proven whatever the solver says.
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_optimum_of_one_robot_is_the_plain_one(seed: int) -> None:
-    world = tiny_world(seed, 2, 4)
-    assert optimum(world, [[0, 0]]) == pytest.approx(best_of_one_robot(world), abs=1e-12)
-
-
 def test_optimum_of_a_corridor() -> None:
     """Two robots before a door of p: the second goes only if the first is lost, and the room behind counts 3 cells."""
     world = World.create([[0.0, 0.4, 0.0, 0.0, 0.0]])
@@ -418,6 +412,7 @@ def test_optimum_ends_where_next_to_nothing_is_dangerous() -> None:
 def test_no_policy_is_above_the_optimum_and_no_bound_below_it(seed: int, robots: int) -> None:
     world, starts = tiny_world(seed, 2, 4), [[0, 0]] * robots
     best, bound = optimum(world, starts), any_strategy(world, starts)
+    assert robots == 2 or best == pytest.approx(best_of_one_robot(world), abs=1e-12)
     assert closed_loop_exact(make_plan(world, starts), world).visited <= best + 1e-9
     assert best <= min(bound.cells, bound.connected, bound.ideal) + 1e-9 and best <= bound.flow
 

@@ -275,10 +275,8 @@ def most_cells(world: World, starts: ArrayLike, flow: bool | None = None) -> flo
     if not isinstance(world.uncertainty, Hazard):
         return any_strategy(world, starts, flow).cells
     checked = check_starts(starts, world.threat, world.source)
-    threat = (
-        world.uncertainty.q[world.accessible(checked)].astype(np.float64)
-        * world.uncertainty.h[world.accessible(checked)]
-    )
+    accessible = world.accessible(checked)
+    threat = world.uncertainty.q[accessible].astype(np.float64) * world.uncertainty.h[accessible]
     return ideal_team(np.sort(threat), len(checked))
 
 
