@@ -36,7 +36,7 @@ from mrac_jax.closed_loop.book import HALVE, SPLIT, HostBook, mixed
 from mrac_jax.closed_loop.engine import BATCH, MOST_LANES, JaxClosedLoop
 from mrac_jax.functional import book, closed_rollouts, thresholds
 from planner.errors import InputError, UsageError, WorldError
-from planner.make_plan import make_plan
+from planner.make_plan import allocated_plan, make_plan
 from planner.mission.mission import Mission
 from planner.plan.plan import Plan
 from planner.plan.state_file import parse_state
@@ -521,7 +521,7 @@ def test_what_is_too_large_is_a_clear_error(loop: ClosedLoop, monkeypatch: pytes
     with pytest.raises(UsageError, match="seed"):
         closed_loop_engine(loop, -1, "jax")
     world = World.create(np.zeros((2, 5001), dtype=np.float32))
-    wide = compile_closed_loop(make_plan(world, np.array([[0, 0]])), world, tabled=False)
+    wide = compile_closed_loop(allocated_plan(world, np.array([[0, 0]]), Settings()), world, tabled=False)
     with pytest.raises(WorldError, match=r"10002 of them accessible; expected at most 10000 .*engine='numba'"):
         JaxClosedLoop(wide, 1)
     with pytest.raises(UsageError, match=r"lanes is 0; expected 1 to 262,144 on each device"):
