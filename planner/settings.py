@@ -69,7 +69,8 @@ class Setting:
         title: its name on pages. help: text of its option.
         group: heading in `--help`. default: of an option that is not a setting.
         form: kind of an option whose values are neither numbers nor words: "flag", "switch" (a flag with a `--no-`),
-            "cells", "path", "text", "texts" (may be repeated), "effort" (of `exact`), "reach" (cells, or inf).
+            "cells", "path", "text", "texts" (may be repeated), "effort" (of `exact`), "reach" (cells, or inf), "auto"
+            (a whole number, or AUTO).
         rare: listed by `--help-all` only.
         numbers: accepted numbers. each: one for all, or a tuple with one a robot. words: accepted words.
         names: a name, or a tuple with one a robot.
@@ -260,8 +261,9 @@ class Settings:
         words=("ignore", "block"), later=True,
     )  # fmt: skip
     deliver_every: int | None = _setting(
-        None, "deliver every", "Return to the base, and go on, with this many cells to deliver (default: never).",
-        whole(1, MAX_STEP), unset="never", later=True,
+        None, "deliver every",
+        "Return to the base, and go on, with this many cells to deliver; auto: found by a search (default: never).",
+        whole(1, MAX_STEP), unset="never", later=True, form="auto",
     )  # fmt: skip
     deliver_value: float | None = _setting(
         None, "deliver value", "Return to the base, and go on, with cells of this value to deliver (default: never).",

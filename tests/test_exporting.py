@@ -496,6 +496,10 @@ def test_heights_above_the_ground(tmp_path: Path) -> None:
     assert float(waylines(file).findtext(f".//{WPML}globalRTHHeight") or "") >= 29.97 + max(flat) - flat[0]
     with pytest.raises(MapError, match=r"has no height at the cell \[0, 8\] of a path \(1 such cells\)"):
         mrac.export(world, plan, tmp_path / "b.plan", terrain=dem(tmp_path / "off.tif", world, -17.0))
+    with rasterio.open(tmp_path / "dem.tif", "r+") as data:
+        data.crs = None
+    with pytest.raises(MapError, match="has no position; expected a raster of heights with a CRS"):
+        mrac.export(world, plan, tmp_path / "b.plan", terrain=ground)
     with pytest.raises(UsageError, match="terrain with a format that ignores it; expected qgc or csv or wpml"):
         mrac.export(world, plan, tmp_path / "b.kml", terrain=ground)
     assert not list(tmp_path.glob("b.*"))
@@ -520,6 +524,7 @@ def test_flights_of_dji_drones(tmp_path: Path) -> None:
             top = waylines(file)
             check_format("wpml", top)
             marks = list(top.iter(f"{KML}Placemark"))
+            assert 2 <= len(marks) <= 99
             assert [mark.findtext(f"{WPML}index") for mark in marks] == [str(n) for n in range(len(marks))]
             points = metres("EPSG:32633", map(place_of, marks))
             base = world.to_xy(np.array([0]))

@@ -784,11 +784,11 @@ def test_what_cannot_be_seen_is_said_and_nothing_happens():
     world = World.create(np.zeros((3, 3)))
     mission = Mission(world, make_plan(world, [[0, 0]]))
     for wrong, message in (
-        ([[0, 3, None]], "no cell of the map"),
-        ([[0, 1]], r"expected \[\[row, col, p\]"),
-        ([[0, 1, 1.0]], "p of"),
+        ([[0, 3, None]], r"`seen\[0\]\[1\]` is 3; expected a whole number, 0 to 2"),
+        ([[0, 1]], r"`seen\[0\]` is \[0, 1\]; expected \[\[row, col, p\]"),
+        ([(0, 1, 1.0)], r"`seen\[0\]\[2\]` is 1\.0; expected .*, or null for an obstacle"),
         ([[0, 0, None]], "a robot is there"),
-        ("all", "seen is"),
+        ("all", "`seen` is 'all'"),
     ):
         with pytest.raises(StateError, match=message):
             mission.report(0, [0, 0], seen=wrong)

@@ -12,11 +12,11 @@ from cyclopts import Parameter
 from analysis import api
 from analysis.cli.console import DONE, check_files, check_folder, deliver, load_or_make_plan, may_replace, show
 from analysis.cli.options import (
+    ANY_POLICY,
     COMPARED,
     INPUT,
     ONE_PLAN,
     PLANNING,
-    SEARCHES,
     SECOND,
     TAKING_OVER,
     THE_TEAM,
@@ -44,7 +44,7 @@ ANSWER, PLACE = "Answer", "Place"
     ANSWER, api.evaluate, THE_TEAM, PLANNING, "plan state", ONE_PLAN, "seconds",
     "Rollouts: threat_scale? sensor_range?",
     "bound theory", "Output: advice? marginal_risk?", "out json",
-    **SEARCHES,
+    policy=ANY_POLICY,
     theory=option(OUTPUT, "List the paper's formulas, each with a verdict.", "flag", default=False, rare=True),
     out="Write the page, pictures, plan and JSON to this folder.",
 )  # fmt: skip

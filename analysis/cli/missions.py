@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from analysis import api
 from analysis.cli import console
-from analysis.cli.options import INPUT, PLANNING, SEARCHES, THE_TEAM, Given, command, file, of, option
+from analysis.cli.options import ANY_POLICY, INPUT, PLANNING, THE_TEAM, Given, command, file, of, option
 from analysis.recording.names import SUFFIX, check_name, check_names, growing_name, layout_name, state_name
 from analysis.utils.notes import say
 from planner.errors import UsageError
@@ -26,7 +26,7 @@ ALTITUDE = option(OUTPUT, "qgc, wpml: metres above take-off, 0 for ground robots
 
 @command(
     DRIVE, api.plan, THE_TEAM, PLANNING, "deadline state",
-    **SEARCHES,
+    policy=ANY_POLICY,
     out="Write the plan file (JSON) to this file.",
     waypoints=option(OUTPUT, "Write paths: .csv .plan .yaml .geojson .kml .gpx .tif, as `export` does.", "path"),
     altitude=ALTITUDE,
@@ -70,7 +70,7 @@ def plan(source: INPUT, /, given: Given) -> int:
 
 @command(
     DRIVE, api.export, THE_TEAM, PLANNING, "deadline plan state", "Output: to altitude terrain battery",
-    **SEARCHES,
+    policy=ANY_POLICY,
     plan="Export this plan file instead of planning.",
     out=of("out", help="File or folder to write.", default=...),
 )  # fmt: skip
@@ -96,7 +96,7 @@ def export(source: INPUT, /, given: Given) -> int:
 
 @command(
     DRIVE, api.drive, THE_TEAM, PLANNING, "deadline plan", "Planning: patience gain",
-    **SEARCHES,
+    policy=ANY_POLICY,
     plan="Drive by this plan file instead of planning.",
     state=of("state", group=OUTPUT, help="Keep the mission in this file (.json), and resume it if the file exists."),
     outlook=option(ROLLOUTS, "Print expected results at the start and after changes.", "flag", default=False),
@@ -193,7 +193,7 @@ EVALUATED = 4096
         "(default: median; not with --ids).", "picks",
     ),
     rollouts="Number of evaluated rollouts (default: 4096; with --ids and without --outcomes none).",
-    **SEARCHES,
+    policy=ANY_POLICY,
     plan="Record this plan file instead of planning.",
     picture=option(OUTPUT, "Write a picture of the first rollout's end (.png).", "path"),
     animation=option(OUTPUT, "Write an animation of the first rollout (.gif).", "path"),

@@ -426,8 +426,4 @@ TAKING_OVER = " ".join(name for name in PLANNING.split() if name not in GROUPS["
 ONE_PLAN = "loop rollouts precision deadline seed engine exact threat_checks"
 COMPARED = "rollouts deadline seed engine threat_checks exact"
 """Rollouts of compared plans, on common random numbers."""
-SEARCHES = {
-    "policy": of("policy", words=(*OPTIONS["policy"].words, BEST)),
-    "deliver_every": of("deliver_every", form="auto", help=OPTIONS["deliver_every"].help + " auto: found by a search."),
-}
-"""Options of commands that may search for a plan's settings (`planner.settings.SEARCHED`)."""
+ANY_POLICY = of("policy", words=(*OPTIONS["policy"].words, BEST))

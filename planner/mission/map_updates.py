@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.arguments import MAX_PLAN_BYTES, Numbers, is_whole, whole
+from planner.arguments import MAX_PLAN_BYTES, Numbers, whole
 from planner.errors import StateError, WorldError
 from planner.files import Json, read_json, write_json
 from planner.make_plan import areas_of, make_plan
@@ -57,27 +57,19 @@ def seen_by(given: Any, fleet: Fleet, reported: Mapping[int, int]) -> Seen:
     if (fleet.raw.robots["doing"] == Doing.FOLLOWING).any() or fleet.problem.stay_inside:
         problem = "robots on external paths, or whose legs stay in their area, cannot react to observed cells"
         raise StateError(problem, expected='a plan with areas, and `transit="grid"`')
-    world, found = fleet.problem.world, dict[int, float | None]()
-    (height, width), where = world.shape, {*fleet.places.values(), *reported.values()}
-    if not isinstance(given, list | tuple):
-        raise StateError(f"seen is {given!r:.60}", expected=EXPECTED)
-    for one in given:
-        if not isinstance(one, list | tuple) or len(one) != 3:
-            raise StateError(f"seen holds {one!r:.60}", expected=EXPECTED)
-        row, col, p = one
-        if not (is_whole(row, 0, height - 1) and is_whole(col, 0, width - 1)):
-            expected = f"row 0..{height - 1} and col 0..{width - 1}"
-            raise StateError(f"seen holds [{row!r}, {col!r}], no cell of the map", expected=expected)
-        if p is not None and not PROBABILITY.accepts(p):
-            raise StateError(
-                f"p of [{row}, {col}] is {p!r}", expected=f"{PROBABILITY.expected}, or null for an obstacle"
-            )
-        cell = int(row) * width + int(col)
-        if p is None and cell in where:
-            raise StateError(
-                f"[{row}, {col}] is reported as an obstacle, but a robot is there", expected="one of the two"
-            )
-        found[cell] = None if p is None else float(p)
+    (height, width), where = fleet.problem.world.shape, {*fleet.places.values(), *reported.values()}
+    rows, cols, found = whole(0, height - 1), whole(0, width - 1), dict[int, float | None]()
+    listed = (
+        [list(one) if isinstance(one, tuple) else one for one in given] if isinstance(given, list | tuple) else given
+    )
+    for one in Key(listed, "seen", "", StateError).items(EXPECTED, least=0):
+        row, col, p = one.items(EXPECTED, exactly=3)
+        cell = row.number(rows) * width + col.number(cols)
+        if p.value is None and cell in where:
+            problem = f"[{row.value}, {col.value}] is reported as an obstacle, but a robot is there"
+            raise StateError(problem, expected="one of the two")
+        expected = f"{PROBABILITY.expected}, or null for an obstacle"
+        found[cell] = None if p.value is None else p.number(PROBABILITY, expected)
     return found
 
 
