@@ -666,7 +666,7 @@ def find_attack(
     turn = search.turn(world, places, screening=False)
     # The search over single threats already gives the first one.
     known = _Adversary(search, world, places, search.anew, True, [turn.picked.threat])
-    hidden = _Adversary(search, world, places, as_is.under, False)
+    hidden = _Adversary(search, world, places, as_is.with_threat, False)
     ends: tuple[Placed, Placed] | None = None
     with search.stoppable(lambda: True):
         known.place(count)
@@ -707,5 +707,5 @@ def _confirmed(
 ) -> tuple[Placed, Placed]:
     """Both placements, with their cost to both kinds of robots."""
     worlds = [with_all(as_is.world, threats) for threats in (known, hidden)]
-    one, other, met, unseen = search.confirm([as_is, *map(search.anew, worlds), *map(as_is.under, worlds)])
+    one, other, met, unseen = search.confirm([as_is, *map(search.anew, worlds), *map(as_is.with_threat, worlds)])
     return Placed(tuple(known), one, met), Placed(tuple(hidden), other, unseen)
