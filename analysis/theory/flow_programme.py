@@ -282,7 +282,7 @@ REMEMBERED = 4
 TICK, LAST = 0.08, 10.0
 """Hazard -log(1 - p) of a tick of the clock, and of its last hour."""
 ROUNDS, ENOUGH = 150, 2e-4
-"""Most changes of the prices; the search ends when the possible gain is below this share of the cells."""
+"""Most changes of the prices a robot; the search ends when the possible gain is below this share of the cells."""
 BACK = 0.3
 """Share of the way that prices go back from the predicted to the best ones so far."""
 CLASSES = {1: 1, 2: 2, 3: 2, 4: 2}
@@ -360,7 +360,7 @@ def walk_bound(nodes: Nodes, rows: Sequence[Row], arrive: Floats, prices: Floats
     most = all_prices(walks.weight, np.full(len(prices), INF), np.where(free > 0, INF, 0.0))
     robots = np.outer(classes.others, nodes.starts[nodes.starts > 0]).ravel()
     master, best, size, promised = _Master(nodes, held, classes, robots), np.inf, 0.3, -np.inf
-    for _ in range(ROUNDS * min(nodes.robots, 2)):
+    for _ in range(ROUNDS * nodes.robots):
         visit, row, again = np.split(now, [teams * len(arrive), teams * len(arrive) + len(prices)])
         at = Prices(visit.reshape(teams, -1), row, again.reshape(others, -1))
         values, gains, given = zip(*_best_walks(nodes, walks, held, classes, at), strict=True)
