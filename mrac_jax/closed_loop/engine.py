@@ -242,7 +242,8 @@ class JaxClosedLoop(Engine):
         """Roll out the run without losses: one lane halts after each event."""
         loop, host, D, B = self.loop, self.host, self._devices, self.lanes
         K, lane = padded_team(loop.robots), first_lane(host, self._room)
-        next_of, homes = np.full(len(host.bits.rows), -1, np.int32), None
+        homes: Homes | None = None
+        next_of = np.full(len(host.bits.rows), -1, np.int32)
         for robot in range(loop.robots):
             mine = np.flatnonzero(loop.tables.owner == robot)  # several on an external path
             next_of[mine[:-1]] = mine[1:]
