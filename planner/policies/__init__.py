@@ -1,7 +1,7 @@
 """Rules for the next area: plain arithmetic.
 
-A rule is stated once, here, and followed by every engine; so are the limits on a team (`risk_cap`, `robot_value`) and
-the order of the cells of an area (`in_area`). No NumPy and no JAX: a rule's numbers may be Python's, Numba's or JAX's.
+A rule is stated once, here, and followed by every engine that supports it; so are the limits on a team (`risk_cap`,
+`robot_value`) and the order of the cells of an area (`in_area`). No NumPy: a rule's numbers may be Python's or Numba's.
 """
 
 from __future__ import annotations

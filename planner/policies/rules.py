@@ -18,8 +18,8 @@ class Rule:
     Attributes:
         name: in plan files, options, sweeps.
         order: two fractions (numerator, denominator above 0) by which offers are compared exactly, the least first:
-            arithmetic only (no `if`, `min`, `max`), so that Numba can compile and JAX can trace it unchanged. Products
-            of a numerator and a denominator stay below 2**63 (JAX: numerators fit into 32 bits, denominators into 16).
+            whole-number arithmetic only, so that Numba can compile it unchanged. Products of a numerator and a
+            denominator stay below 2**63.
         replanning: whether the robot re-evaluates. Then the target of an area is its cheapest unvisited cell, and the
             robot reacts to other robots' visits: it drops an area without cells to do, heads for the next target if its
             own was visited, and covers the cells *still* unvisited, leg by leg. Otherwise the target is the area's

@@ -18,12 +18,11 @@ from planner.failure_model import PLAIN, FailureModel
 from planner.mrac.problem import Problem, Unknown
 from planner.plan.plan import Area
 from planner.plan.state import ON_ITS_WAY, MissionState, RobotState
-from planner.policies import RULES
 from planner.policies.rules import Rule, most_at_risk
 from planner.rollout_sampling import chance_bound
 from planner.simulator.codes import NO_CELL, Doing, Outcome
 from planner.simulator.jit import UNCOUNTED
-from planner.simulator.offers import NO_REFUSAL, Offer
+from planner.simulator.offers import NO_REFUSAL, Offer, by_cost_and_frontier, by_cost_per_cell
 from planner.simulator.paths import all_pairs, to_areas
 from planner.simulator.policy import Policy
 from planner.simulator.searches import BY_INDEX, UNREACHED, SafestPaths, find_safe_parts, neighbour_table
@@ -549,7 +548,8 @@ def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables, *, i
     ahead = slice(None if rule.looks_ahead and (unknown is None or unknown.looks) else 0)
     # The cap is tabulated by robots alive, so that kernels need no floats.
     alive = range(len(problem.starts) + 1 if settings.risk_cap is not None else 0)
-    is_own = RULES.get(rule.name) is not rule
+    # By the order, not the name: a new entry of RULES without one in `order_of` would follow `per_cell` silently.
+    is_own = rule.order is not (by_cost_and_frontier if rule.looks_ahead else by_cost_per_cell)
     return Policy(
         reevaluates=rule.reevaluates,
         preempts=rule.preempts,

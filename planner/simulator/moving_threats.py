@@ -99,7 +99,7 @@ def find_losses(t, s, w, how, ids, first, last, after):
 
 @rare_kernel
 def meet(t, s, w, how, ids):
-    """Continue the encounters of a step: HIT or PARTED for the next robot that is lost; ACTS after the last one."""
+    """Continue the encounters of a step: HIT or GROUP_SPLITS for the next loss; ACTS after the last one."""
     marks = s.marks
     first, last = marks.first, marks.last
     if not is_meeting(s):

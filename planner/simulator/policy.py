@@ -35,7 +35,7 @@ class Policy(NamedTuple):
         view_begin, in_view: as in `Tables`, if the rule looks ahead in an online mission, else empty.
         stamp: int64 `[A + 1]`, scratch of a thread: the last offer that counted each cell; at the end the number of
             offers.
-        is_own, own: whether the rule is a user's, and its order of offers (`as_function`); else None.
+        is_own, own: whether the rule has an order that `order_of` lacks, and that order (`as_function`); else None.
         key: None in compiled programs; the order of a rule that runs as Python only (`Rule.key`).
     """
 
@@ -128,7 +128,7 @@ def order_of(p, offer):
 
 @rare_kernel
 def own_order(p, o):
-    """`order_of` a user's rule."""
+    """`order_of` a rule that is not built in."""
     given = o.level, o.cost, o.unvisited, o.entry, o.value, o.beyond, o.frontier, o.surcharge
     return (p.own(0, *given), p.own(1, *given)), (p.own(2, *given), p.own(3, *given))
 

@@ -48,7 +48,10 @@ from .visits import enter, is_complete, lose, survive
 def advance(t, p, s, c, w, log, how, ids):
     """Run the group until it ends or splits.
 
-    Returns the Outcome, PARTED, CUT (all of a tree's mass is below the cut) or AREAS_FULL (the area registry is full).
+    It starts a step if the group's verdict is ACTS. HIT, PASSED: it resumes after the visit of `group.robot`.
+
+    Returns the Outcome, GROUP_SPLITS, CUT (all of a tree's mass is below the cut) or AREAS_FULL (the area registry is
+    full).
     """
     group, robots, verdict = s.marks, s.robots, s.marks.verdict
     # Kept in registers: LLVM cannot know that no array overlaps the record.
@@ -80,7 +83,7 @@ def advance(t, p, s, c, w, log, how, ids):
                 left = acting(t, p, s, word, NONE)
             if verdict == GROUP_SPLITS:
                 return verdict
-            if verdict == HIT:
+            if verdict == HIT:  # a moving threat destroys a robot; the other encounters of the step follow
                 robot, word = np.int64(group.robot), word - 1
                 continue
             robot = word * WORD + lowest_bit(left)
@@ -110,7 +113,7 @@ def advance(t, p, s, c, w, log, how, ids):
             if p is not None or step == 0 or cell != robots[robot].cell:
                 verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)
             if verdict != ACTS:
-                if verdict < ACTS:
+                if verdict < ACTS:  # GROUP_SPLITS or CUT
                     return verdict
                 size = group.last - group.first  # a tree's branch may have been cut
         if verdict == HIT:

@@ -114,7 +114,7 @@ def prune(t, s, c, how, cell, lost_from):
         lost_from: begin of the part of the mass that loses the robot.
 
     Returns:
-        PARTED: both; PASSED, HIT: one, at the end of the branch's mass; CUT: none.
+        GROUP_SPLITS: both; PASSED, HIT: one, at the end of the branch's mass; CUT: none.
     """
     marks = s.marks
     lost, rest = marks.last - lost_from, lost_from - marks.first
@@ -142,7 +142,7 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
     """Move into the cell.
 
     Returns:
-        ACTS if there is no danger, PASSED or HIT for all rollouts, PARTED if the group splits, or CUT.
+        ACTS if there is no danger, PASSED or HIT for all rollouts, GROUP_SPLITS if the group splits, or CUT.
     """
     marks = s.marks
     s.robots[robot].cell = cell
