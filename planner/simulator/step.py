@@ -49,9 +49,7 @@ def advance(t, p, s, c, w, log, how, ids):
     """Run the group until it ends or splits.
 
     It starts a step if the group's verdict is ACTS. HIT, PASSED: it resumes after the visit of `group.robot`.
-
-    Returns the Outcome, GROUP_SPLITS, CUT (all of a tree's mass is below the cut) or AREAS_FULL (the area registry is
-    full).
+    Returns the Outcome, GROUP_SPLITS, CUT (all of a tree's mass is below the cut) or AREAS_FULL (no room for areas).
     """
     group, robots, verdict = s.marks, s.robots, s.marks.verdict
     # Kept in registers: LLVM cannot know that no array overlaps the record.
