@@ -395,7 +395,7 @@ def check_world(world: object) -> None:
     from planner.world.world import World
 
     if not isinstance(world, World):
-        raise UsageError(argument("world", world), expected="a World, as mrac_jax.load makes one")
+        raise UsageError(argument("world", world), expected="a World", fix="give mrac_jax.load(...) of the map")
 
 
 def plan_of(world: World, given: PlanSource) -> tuple[World, Plan]:

@@ -473,9 +473,10 @@ def _findings(done: Debrief) -> list[str]:
             f"; by the map's hazard {found.hazard:.2f} are expected here. The hazard met is {found.mean:.2f} "
             f"times that of the map ({low:.2f} .. {high:.2f}), larger with probability {percent(found.above)}"
         )
-    if done.rest is None:
-        return [f"{lost}."]
-    return [f"{lost}.", f"The rest, planned from here: {done.rest.ends}."]
+    said = [f"{lost}."]
+    if any(flight.lost and flight.hazard == 0 for flight in done.flights):
+        said.append("A robot was lost on a way without danger: the map is wrong there, or something else destroyed it.")
+    return said if done.rest is None else [*said, f"The rest, planned from here: {done.rest.ends}."]
 
 
 def _key_figures(done: Debrief) -> list[KeyFigure]:

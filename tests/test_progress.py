@@ -106,14 +106,14 @@ def test_a_compilation_is_named_with_the_seconds_so_far(monkeypatch: pytest.Monk
     for part, seconds in parts:
         part()
         now += seconds
-    assert compiles() == "compiling per_cell, first run only, 5 s so far"
+    assert compiles() == "compiling per_cell, first such run, 5 s so far"
     now += 65.0
     announcer.ends()
     assert compiles() == ""
     announcer.begins()
     assert compiles() == "", "so short that nobody needs to know"
     now += 2.0
-    assert compiles() == "compiling per_cell, first run only, 1 min 12 s so far"
+    assert compiles() == "compiling per_cell, first such run, 1 min 12 s so far"
     announcer.ends()
     announcer.what = "mrac"
     announcer.begins()
@@ -138,7 +138,7 @@ def test_a_progress_line_says_what_is_compiled_for_what(
             progress.announce_compilation(plan, loop)
             announcer.begins()
             now += 35.0
-            assert watch.line_after(37) == f"compiling {name}, first run only, 35 s so far; alternatives"
+            assert watch.line_after(37) == f"compiling {name}, first such run, 35 s so far; alternatives"
             announcer.ends()
     screen = io.StringIO()
     monkeypatch.setattr(progress, "SafeConsole", lambda **_: SafeConsole(file=screen, force_terminal=True, width=120))
@@ -146,7 +146,7 @@ def test_a_progress_line_says_what_is_compiled_for_what(
         announcer.begins()
         now += 2.0
         watch._bar.refresh()
-        assert "compiling the open loop, first run only, 37 s so far; rollouts" in screen.getvalue()
+        assert "compiling the open loop, first such run, 37 s so far; rollouts" in screen.getvalue()
         with watch.paused():
             print("the answer")  # noqa: T201 - where the bar was
     assert capsys.readouterr().out == "the answer\n"
@@ -213,7 +213,7 @@ def test_a_first_run_says_that_it_compiles_and_prints_one_json_object(tmp_path: 
     for _ in range(2):
         done = subprocess.run(words, capture_output=True, text=True, env=environment, check=True, timeout=600)
         assert json.loads(done.stdout)["rollouts"] == 50
-        said.append(bool(re.search(r"compiling mrac, first run only, \d+ s so far", done.stderr)))
+        said.append(bool(re.search(r"compiling mrac, first such run, \d+ s so far", done.stderr)))
     assert said == [True, False]
 
 

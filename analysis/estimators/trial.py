@@ -161,11 +161,6 @@ def units_of(cell_values: CellValues) -> NDArray[np.float64]:
     return np.asarray(cell_values.value / cell_values.total * UNITS)
 
 
-def most_units(cells: int) -> int:
-    """The largest possible sum over `cells` cells after rounding."""
-    return UNITS + cells
-
-
 def weigh(engine: Engine, world: World) -> Engine:
     """The same engine; a closed loop with values also sums the units of visited cells: `value_covered`."""
     if world.value is None:
@@ -182,7 +177,7 @@ def mean_value(
     `controls`: the rollouts by class of S, for the control variate (`analysis.statistics.variance_reduction`).
     """
     values, often = np.unique(column, return_counts=True)
-    unit, most = total / UNITS, most_units(cells)
+    unit, most = total / UNITS, UNITS + cells  # the largest sum over so many cells after rounding
     if controls is None or certain:
         found = mean_of(values, often, unit, most, certain)
     else:

@@ -273,16 +273,6 @@ def in_table(title: str, exact: Callable[[OpenLoopExact], str] = lambda known: "
     return {"title": title, "exact": exact, "scaled": scaled}
 
 
-def exact_survival(known: OpenLoopExact) -> str:
-    """The probability that a robot survives the open loop, in percent."""
-    return in_percent(known.some_left, 2)
-
-
-def exact_time(known: OpenLoopExact) -> str:
-    """The expected number of steps of the open loop, as text."""
-    return known_text(known.mean_time, "{:,.1f}")
-
-
 def exact_losses(known: OpenLoopExact) -> str:
     """The expected number of robots lost in the open loop, as text."""
     lost, robots = known.expected_losses, len(known.survival)
@@ -308,11 +298,13 @@ class Figures:
     complete: Chance = field(metadata=in_table("chance to visit every cell"))
     ends: dict[Outcome, Chance]
     left: list[Chance]
-    some_left: Chance = field(metadata=in_table("chance that a robot survives", exact_survival))
+    some_left: Chance = field(metadata=in_table("chance that a robot survives", lambda of: in_percent(of.some_left, 2)))
     alive: Estimate
     losses: Losses = field(metadata=in_table("robots lost", exact_losses))
     home: AtHome | None = field(metadata=in_table("robots back at base"))
-    time: Estimate = field(metadata=in_table("time, steps", exact_time, "time, minutes"))
+    time: Estimate = field(
+        metadata=in_table("time, steps", lambda of: known_text(of.mean_time, "{:,.1f}"), "time, minutes")
+    )
     assured: int | None
 
     @classmethod

@@ -240,8 +240,7 @@ def report(evaluation: Evaluation, theory: bool = False, bounds: bool = True) ->
     notes += [QUANTILES_NOTE] * (_adds_quantile(evaluation) and not evaluation.shown.visited.known)
     said = (losses_text(evaluation), completion_text(evaluation), gain_text(evaluation), *notes)
     own = () if certain else (*said, *evaluation.added("notes"))
-    home = "" if certain else return_text(evaluation)
-    limit = bound_text(evaluation) if bounds and not certain else ""
+    home, limit = return_text(evaluation), bound_text(evaluation) if bounds and not certain else ""
     said = (*evaluation.added("opens"), home, *evaluation.added("alternatives"), limit, *evaluation.added("leads"))
     parts = [
         Section("Chances and coverage", answer_tables(evaluation), list(filter(None, own))),

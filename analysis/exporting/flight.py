@@ -157,7 +157,8 @@ def fence_note(mission: Mission) -> tuple[str, ...]:
     """A note where the geofence has more corners than PX4 takes."""
     starts = {int(robot.path[0]) for robot in mission.plan.robots}
     corners = max(sum(len(one["polygon"]) for one in _fence(mission, start)) for start in starts)
-    return (f"the geofence has {corners} corners, and PX4 takes {MOST_CORNERS}",) * (corners > MOST_CORNERS)
+    fix = "fly ArduPilot, or delete it in QGroundControl"
+    return (f"the geofence has {corners} corners, and PX4 takes {MOST_CORNERS}: {fix}",) * (corners > MOST_CORNERS)
 
 
 def _fence(mission: Mission, start: int) -> list[Json]:

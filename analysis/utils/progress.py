@@ -37,9 +37,9 @@ PATIENCE = 1.0
 
 
 def compiling_line(code: str, seconds: float) -> str:
-    """ "compiling per_cell, first run only, 35 s so far"."""
+    """ "compiling per_cell, first such run, 35 s so far"."""
     kept = os.environ.get(NO_CACHE, "") in ("", "0")
-    when = "first run only" if kept else "in every run, as compiled code is not kept"
+    when = "first such run" if kept else "in every run, as compiled code is not kept"
     return f"compiling {code}, {when}, {duration(seconds)} so far"
 
 
@@ -184,7 +184,7 @@ class Watch:
 
 
 def with_compiling(stage: str) -> str:
-    """The stage after the compilation, if any: "compiling mrac, first run only, 35 s so far; rollouts"."""
+    """The stage after the compilation, if any: "compiling mrac, ..., 35 s so far; rollouts"."""
     return "; ".join(filter(None, (ANNOUNCER.line(), stage)))
 
 
@@ -221,8 +221,8 @@ def show_progress(things: str = "rollouts", *, asked: bool = True) -> Iterator[W
 
 @contextmanager
 def lines_now_and_then(line: Callable[[float], str]) -> Iterator[None]:
-    """Print `line(seconds)` on standard error after FIRST seconds, and then every EVERY seconds; "" is not printed."""
-    with _repeated(lambda seconds: say([*filter(None, [line(seconds)])]), FIRST, EVERY):
+    """Print `line(seconds)` on standard error after FIRST seconds, then at intervals from EVERY on, unless ""."""
+    with _repeated(lambda seconds: say([*filter(None, [line(seconds)])]), FIRST, EVERY, 0.5):
         yield
 
 
@@ -246,8 +246,8 @@ def notebook_line(line: Callable[[float], str]) -> Iterator[None]:
 
 
 @contextmanager
-def _repeated(speak: Callable[[float], None], first: float, every: float) -> Iterator[None]:
-    """Call `speak(seconds so far)` repeatedly in a thread."""
+def _repeated(speak: Callable[[float], None], first: float, every: float, grows: float = 0.0) -> Iterator[None]:
+    """Call `speak(seconds so far)` repeatedly in a thread; an interval is at least `grows` times these seconds."""
     over, clock = threading.Event(), time.monotonic()
 
     def run() -> None:
@@ -255,7 +255,7 @@ def _repeated(speak: Callable[[float], None], first: float, every: float) -> Ite
         # Absolute times, so that delays do not add up.
         while not over.wait(max(clock + at - time.monotonic(), 0.0)):
             speak(at)
-            at += every
+            at += max(every, grows * at)
 
     speaker = threading.Thread(target=run, daemon=True)
     speaker.start()
