@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -46,7 +46,9 @@ NEARLY_NONE = 0.02
 USUAL, CELLS = 4096, 2**23
 """Default rollouts of a setting, and the largest number of cells times rollouts for that default."""
 HALVINGS = 3
-"""Values of `robot_value` tried between two neighbours that bracket a goal; then missions ended between these two."""
+"""Values of `robot_value` tried between two neighbours that bracket a goal; then missions are ended between these."""
+LEVELS = 63
+"""Levels of coverage between these two neighbours at which a mission may end; bisected, so that six are tried."""
 KNEE = 0.1
 """Least height of a knee above the straight line between two settings, as a share of the difference in coverage."""
 FAMILIES = ("mrac", "per_cell", "risk_cap", "robot_value")
@@ -72,10 +74,8 @@ class Setting(NamedTuple):
 
     @property
     def family(self) -> str:
-        """The curve to which the setting belongs, one of FAMILIES."""
-        return (
-            "robot_value" if self.robot_value is not None else "risk_cap" if self.risk_cap is not None else self.policy
-        )
+        """The curve to which the setting belongs, one of FAMILIES: the last limit that is set, else the policy."""
+        return [self.policy, *self.limits][-1]
 
     @property
     def limits(self) -> dict[str, float]:
@@ -108,12 +108,8 @@ class Figures(NamedTuple):
 
     def beats(self, other: Figures) -> bool:
         """Whether it dominates the other: nowhere worse and somewhere better."""
-        return (
-            self.coverage >= other.coverage
-            and self.losses <= other.losses
-            and self.time <= other.time
-            and tuple(self) != tuple(other)
-        )
+        no_worse = self.coverage >= other.coverage and self.losses <= other.losses and self.time <= other.time
+        return no_worse and self != other
 
 
 @dataclass(frozen=True)
@@ -237,6 +233,12 @@ class Point:
     def sure(self) -> Figures:
         """The bounds in place of the means: a goal that allows them is met with confidence."""
         return Figures(self.least, self.most, self.time.mean)
+
+    @property
+    def ample(self) -> Figures:
+        """AMPLE margins of the bounds beyond the means: fresh rollouts mostly confirm a goal that allows them."""
+        coverage, losses, steps = self.figures
+        return Figures(coverage - AMPLE * (coverage - self.least), losses + AMPLE * (self.most - losses), steps)
 
 
 @dataclass(frozen=True)
@@ -539,8 +541,8 @@ class _Search(Search):
 
     def look_at_all(self) -> None:
         """Simulate all settings, cheap ones first: risk caps are slow."""
-        for policy in ("mrac", "per_cell"):
-            self._with_cuts(policy)
+        for setting in (Setting("mrac"), Setting("per_cell")):
+            self._with_cuts(setting)
         self._up_the_ladder()
         self._refine()
         for setting in self.risk_caps:
@@ -558,18 +560,20 @@ class _Search(Search):
         _check_ladder("risk_cap", values)
         return [Setting("per_cell", risk_cap=value) for value in values]
 
-    def _with_cuts(self, policy: str) -> None:
+    def _with_cuts(self, setting: Setting) -> None:
         """A policy without limits, in full and ended early."""
-        self.look_at(Setting(policy))
-        self._cut(Setting(policy), [*self.ladders.landmarks, *self._target(Setting(policy))])
+        point, marks = self.look_at(setting), [*self.ladders.landmarks]
+        if self.goal.target is not None:
+            marks.append(self.goal.target + point.coverage.mean - point.ample.coverage)
+        for step in self._steps(setting, marks):
+            self.look_at(setting._replace(deadline=step))
 
-    def _cut(self, setting: Setting, marks: Sequence[float]) -> None:
-        """A simulated setting, ended at the steps by which its mean coverage reaches `marks`."""
+    def _steps(self, setting: Setting, marks: Iterable[float]) -> list[int]:
+        """The steps before the end by which the mean coverage of a simulated setting reaches `marks`."""
         covered = self.covered[self._ended(setting)]
         # argmax is the first step that reaches the mark; `covered` does not decrease.
         steps = {int(np.argmax(covered >= mark)) for mark in marks if covered[-1] >= mark}
-        for step in sorted(step for step in steps - {len(covered) - 1} if step >= self.least_deadline):
-            self.look_at(setting._replace(deadline=step))
+        return sorted(step for step in steps - {len(covered) - 1} if step >= self.least_deadline)
 
     def _up_the_ladder(self) -> None:
         """The given values of `robot_value`; by default a ladder that doubles until nearly no robot is lost."""
@@ -593,20 +597,20 @@ class _Search(Search):
         if (bracket := self._bracket()) is not None:
             setting = Setting("per_cell", robot_value=bracket[0])
             more, less = (self.points[self._ended(setting._replace(robot_value=v))].coverage.mean for v in bracket)
-            marks = [less + (more - less) * part / (HALVINGS + 1) for part in range(1, HALVINGS + 1)]
-            self._cut(setting, [*marks, *self._target(setting)])
+            steps = self._steps(setting, np.linspace(less, more, LEVELS))
+            while steps:
+                middle = len(steps) // 2
+                point = self.look_at(setting._replace(deadline=steps[middle]))
+                met = self.goal.allows(point.sure)
+                if met and not self.goal.allows(point.ample):
+                    return  # about a standard error from the limit: closer ends would be the same try several times
+                # An earlier end loses fewer robots and covers less.
+                steps = steps[middle + 1 :] if met == (self.goal.losses is not None) else steps[:middle]
 
     def _bracket(self) -> tuple[float, float] | None:
         """The first two neighbours of the ladder of `robot_value` of which one meets the goal."""
         known = [(s.robot_value, self.goal.allows(p.sure)) for s, p in self.points.items() if s.robot_value is not None]
         return next(((a, b) for (a, met), (b, other) in pairwise(sorted(known)) if met != other), None)
-
-    def _target(self, setting: Setting) -> tuple[float, ...]:
-        """The mean coverage at which the bound of a simulated setting reaches the target, with a margin."""
-        if self.goal.target is None:
-            return ()
-        point = self.points[self._ended(setting)]
-        return (self.goal.target + AMPLE * (point.coverage.mean - point.least),)
 
     def _ended(self, setting: Setting) -> Setting:
         """The setting with its own deadline, else with the deadline of all missions."""

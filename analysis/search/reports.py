@@ -322,10 +322,8 @@ def _kept(front: Front, again: Point) -> str:
 
 
 def _fresh(front: Front, point: Point) -> str:
-    said = (
-        f"{point.coverage.describe(100, ' %')} {front.verb}ed, {losses_sentence(point.losses, len(front.starts))} lost"
-    )
-    return without_level(said).replace(" (exact)", "")
+    lost = losses_sentence(point.losses, len(front.starts))
+    return without_level(f"{point.coverage.describe(100, ' %')} {front.verb}ed, {lost} lost").replace(" (exact)", "")
 
 
 def _front_key_figures(front: Front) -> list[KeyFigure]:
